@@ -16,32 +16,29 @@ import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 #: Largest file of each kind that is read [B], by what messages call it. Each leaves room for more than what is in use:
 #: a grid of 500 buses has 0.2 MB, an hour of measured wind of eight groups 3 MB, the table of a hundred entries 10 MB.
-LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
-    {
-        "case": 2**25,
-        "description of the results": 2**22,
-        "description of the run": 2**22,
-        "entry file": 2**14,
-        "file with the markers": 2**22,
-        "finished batch": 2**22,
-        "grid": 2**22,
-        "hyperparameter file": 2**16,
-        "law file": 2**14,
-        "network of pandapower": 2**25,
-        "policy": 2**26,
-        "records of the trainings": 2**20,
-        "rotor table": 2**21,
-        "scenario file": 2**23,
-        "suite": 2**18,
-        "table of the results": 2**26,
-        "wind series": 2**24,
-    }
-)
+LARGEST_BYTES: Mapping[str, int] = {
+    "case": 2**25,
+    "description of the results": 2**22,
+    "description of the run": 2**22,
+    "entry file": 2**14,
+    "file with the markers": 2**22,
+    "finished batch": 2**22,
+    "grid": 2**22,
+    "hyperparameter file": 2**16,
+    "law file": 2**14,
+    "network of pandapower": 2**25,
+    "policy": 2**26,
+    "records of the trainings": 2**20,
+    "rotor table": 2**21,
+    "scenario file": 2**23,
+    "suite": 2**18,
+    "table of the results": 2**26,
+    "wind series": 2**24,
+}
 #: Deepest nest of objects and lists that is read; results have five levels.
 _DEEPEST = 20
 #: Most lists and objects of a JSON text: each takes a hundred times its two characters. The largest grids have a third.

@@ -5,6 +5,7 @@ from output import folder
 
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, run_grid_test
 from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.physics.protection import Status
 from wtg_gym.plotting import save_figure, style
 from wtg_gym.policies.entry_folder import load_entries
 
@@ -63,7 +64,7 @@ def picture(runs):
             look = {"color": looks[label].colour, "linestyle": looks[label].dashes}
             of_frequency.plot(response.time_s, response.frequency_hz, **look)
             of_power.plot(response.time_s, response.total(), **look)
-            if not response.lives:
+            if response.status is not Status.RUNNING or not response.connected[-1].all():
                 of_frequency.plot(response.time_s[-1], response.frequency_hz[-1], "x", color=look["color"])
         of_frequency.set_title(name, fontsize="small")
         for own_axes, limits in ((of_frequency, (47.3, 51.7)), (of_power, (-0.7, 1.3))):

@@ -10,7 +10,7 @@ from output import folder as output_folder
 from wtg_gym.evaluation import evaluate
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.plotting import save_figure
-from wtg_gym.plotting.margin import by_entry, plot_over_margin
+from wtg_gym.plotting.report import over_margin, plot_over_margin
 from wtg_gym.scenarios import get_suite
 
 SUITE = "standard-v1"
@@ -38,7 +38,7 @@ def main() -> None:
     docs = output_folder(__doc__)
     suite = get_suite(SUITE)
     results = evaluate(list(ENTRIES), SUITE, "validation")
-    entries = by_entry(results)
+    entries = over_margin(results)
     save_figure(plot_over_margin(entries, suite.task.hundred), docs / "images/margin", ["svg"])
     table = strata(entries, list(results.seeds), suite.task.hundred)
     update_between_markers(docs / "benchmark.md", table, "strata")

@@ -26,7 +26,7 @@ from wtg_gym.policies import PolicyError
 from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks import V1
 
-OWN, FOLDER, PARTIAL = "standard-v1", Path("results/matrix"), Path("results/partial")
+OWN, FOLDER = "standard-v1", Path("results/matrix")
 SUITES = tuple(
     f"{n}-v1" for n in ("standard", "low-share", "high-share", "gusty", "no-wind-sensor", "faults", "weak-grid")
 )
@@ -61,7 +61,7 @@ def entries_of(suite: str) -> list[Entry]:
 def on_suite(suite: str) -> Results:
     """Return the results on a suite's first test scenarios, which are kept."""
     where = {"suite": suite, "split": "test", "seeds": get_suite(suite).test[:N_SCENARIOS]}
-    results = run_evaluation(entries_of(suite), partial=PARTIAL, **where)
+    results = run_evaluation(entries_of(suite), FOLDER.parent, **where)
     # Without its parts, which would be removed once the results are written.
     replace(results, parts=None).write(FOLDER)
     return results

@@ -27,7 +27,7 @@ from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import save_figure, style
-from wtg_gym.plotting.trajectories import explain_events, mark_end, mark_instants
+from wtg_gym.plotting.trajectories import draw_run, explain_events, mark_instants
 from wtg_gym.scenarios import get_suite
 
 SUITE, N_SCENARIOS = "standard-v1", 150
@@ -62,11 +62,7 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
     ):
         style.letter_panel(axes, letter, label)
         for name, run in runs.items():
-            values = getattr(run, quantity)[:, 0]
-            values = values[np.isfinite(values)]
-            axes.plot(run.time_s[: values.size], values, color=looks[name].colour, linestyle=looks[name].dashes)
-            if run.failures[0]:
-                mark_end(axes, float(run.time_s[values.size - 1]), float(values[-1]), looks[name].colour)
+            draw_run(axes, run.time_s, getattr(run, quantity)[:, 0], looks[name], failed=bool(run.failures[0]))
         # A run that fails ends a step before the limit.
         axes.margins(y=0.12)
         low, high = axes.get_ylim()

@@ -16,7 +16,7 @@ from wtg_gym import evaluate, get_suite
 from wtg_gym.cli import main
 from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.evaluation import Results, Workers, evaluator, load_entries
-from wtg_gym.evaluation.recompute import departures, recompute
+from wtg_gym.evaluation.evaluator import departures, recompute
 from wtg_gym.tasks import V1
 
 _LEADERBOARD = ("leaderboard", "--suite", "paper", "--entries")

@@ -17,10 +17,9 @@ from tests.interruption import interrupted
 from wtg_gym import Entry, Plant, Results, TrackingLaw, evaluate, get_law, get_suite, load_entries, simulate
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import PolicyError
-from wtg_gym.evaluation.evaluator import Progress
+from wtg_gym.evaluation.evaluator import Progress, departures, recompute
 from wtg_gym.evaluation.metrics import quasi_steady_deviation
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.physics.parameters import TurbineParameters
 
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}

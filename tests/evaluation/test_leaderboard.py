@@ -75,7 +75,7 @@ def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1
 
 
 def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(results_v1):
-    groups = {"ordinary": np.arange(0, 12, 2), "extreme": np.arange(1, 12, 2)}
+    groups = {"ample": np.arange(0, 12, 2), "short": np.arange(1, 12, 2)}
     quiet = [
         dataclasses.replace(e, failure="", metrics={**e.metrics, "nadir_hz": 49.9, "zenith_hz": 50.1})
         for e in results_v1.episodes_of(V1.hundred)
@@ -90,10 +90,9 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
     factors = {V1.zero: 2.0, V1.hundred: 1.0, "wild": 0.5, "fine": 1.1}
     costs = {name: base[np.newaxis] * factor for name, factor in factors.items()}
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
-    offsets = np.where(np.arange(12) % 2, 3000.0, 40.0)
-    scoring = Adjusted(0.3, groups)
-    measured = summary.measured(entries, runs, costs, get_suite("standard-v1"), groups, scoring)
-    rows = summary.ranked(summary.scored(measured, runs, costs, V1, offsets, scoring))
+    offsets = np.where(np.arange(12) % 2, *(dict(V1.cost_offsets)[name] for name in ("short", "ample")))
+    arguments = entries, runs, costs, get_suite("standard-v1"), groups, Adjusted(0.3, groups)
+    rows = summary.ranked(summary.summaries(*arguments, with_scores=True))
     assert [row.name for row in rows] == [V1.hundred, "fine", V1.zero, "wild"]
     assert [row.marked for row in rows] == [True, True, True, False]
     logs = {name: np.log(own[0] + offsets) for name, own in costs.items()}
@@ -127,7 +126,8 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
     costs = {name: np.full((1, 12), 10.0) for name in runs}
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
     groups = {"ordinary": np.arange(6), "large": np.arange(6, 12)}
-    rows = summary.measured(entries, runs, costs, get_suite("standard-v1"), groups, Adjusted(0.3, groups))
+    arguments = entries, runs, costs, get_suite("standard-v1"), groups, Adjusted(0.3, groups)
+    rows = summary.summaries(*arguments, with_scores=False)
     assert [row.lost_or_beyond_to_hundred.value for row in rows] == [0.0, 0.0, 0.0]
     assert [row.marked for row in rows] == [True, False, True]
 

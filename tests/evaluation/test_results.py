@@ -12,7 +12,7 @@ from tests.changes import changed, read_or_refused
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Interval, Results
 from wtg_gym.evaluation.circumstances import environment_fingerprint
-from wtg_gym.evaluation.recompute import departures
+from wtg_gym.evaluation.evaluator import departures
 from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.files import sha256, to_json
 

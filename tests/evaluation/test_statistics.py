@@ -88,21 +88,10 @@ def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio():
     assert interval.high == pytest.approx(expected.high, abs=0.06 * width)
 
 
-def test_difference_of_two_entries_is_paired():
-    gains, mppt = _gains(np.random.default_rng(13), 1, 200)
-    better = gains + 0.01
-    difference = Bootstrap(mppt).score_difference(better, gains)
-    assert difference.value == pytest.approx(100.0 * 0.01 / -mppt.mean())
-    alone = Bootstrap(mppt).score(better)
-    assert difference.low > 0.0 and difference.high - difference.low < 0.1 * (alone.high - alone.low)
-    back = Bootstrap(mppt).score_difference(gains, better)
-    assert (back.value, back.low, back.high) == pytest.approx((-difference.value, -difference.high, -difference.low))
-
-
 def test_seeds_of_two_entries_are_drawn_independently():
     # Two rows of equal seeds, good and bad: were they drawn together, the difference would always be nought.
     gains = np.repeat([[0.0], [1.0]], 30, axis=1)
-    difference = Bootstrap(np.full(30, -1.0)).score_difference(gains, gains)
+    difference = Bootstrap(np.full(30, -1.0)).share_difference(gains, gains)
     assert (difference.value, difference.low, difference.high) == pytest.approx((0.0, -100.0, 100.0))
 
 

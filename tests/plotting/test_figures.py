@@ -1,5 +1,6 @@
 """Facts about figures, which are files that repeat, and about the page of play without a browser."""
 
+import dataclasses
 import hashlib
 import subprocess
 import sys
@@ -58,17 +59,17 @@ def suite(request):
 
 def _played(suite: Suite, on_k: float, on_tau: float = 0.0, seed: int = _SEED) -> Match:
     match = Match(suite, seed, _LENGTH_S)
-    while not match.over:
+    while not match.has_ended():
         match.step(on_k, on_tau)
     return match
 
 
 def test_without_an_action_you_are_the_reference(suite):
     match = _played(suite, 0.0)
-    you, *anchors = match.verdicts()
-    same = next(each for each in anchors if each.name == "coordinated-piecewise")
-    assert you._replace(name=same.name) == same
-    assert [each.name for each in anchors] == list(suite.task.anchors)
+    you, *anchors = match.episodes()
+    same = next(each for each in anchors if each.entry == "coordinated-piecewise")
+    assert dataclasses.replace(you, entry=same.entry) == same
+    assert [each.entry for each in anchors] == list(suite.task.anchors)
     for values in match.sample().values():
         assert np.array_equal(values[OWN], values[REFERENCE])
 
@@ -81,5 +82,5 @@ def test_the_cost_is_the_evaluators(suite):
     seeds = list(suite.validation[:3])
     entry = Entry(name="held", policy=Held(), action_mode="k+tau")
     results = evaluate([entry], suite.name, "validation", seeds=seeds, duration_s=_LENGTH_S)
-    yours = [_played(suite, 0.3, -0.2, seed).verdicts()[0] for seed in seeds]
-    assert [you.cost for you in yours] == [episode.metrics["cost"] for episode in results.episodes_of("held")]
+    yours = [_played(suite, 0.3, -0.2, seed).episodes()[0] for seed in seeds]
+    assert [you.metrics for you in yours] == [episode.metrics for episode in results.episodes_of("held")]

@@ -71,8 +71,8 @@ def test_plain_policies_pass_every_check_and_their_files_are_listed(given, tmp_p
 def test_policy_is_judged_in_the_environment_that_it_names(tmp_path, monkeypatch):
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
     report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1))
-    assert report.accepted and report.played().environment == "GFMWTG-14bus-v1"
-    assert rollout(report.played()).shape[1:] == (4, 8)
+    assert report.accepted and report.entry.environment == "GFMWTG-14bus-v1"
+    assert rollout(report.entry).shape[1:] == (4, 8)
 
 
 def test_policy_that_is_slow_is_refused_and_no_later_check_is_made(monkeypatch, tmp_path):

@@ -127,7 +127,7 @@ def test_hostile_policy_is_stopped(end, name, tmp_path, monkeypatch):
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 32 if end == HARMLESS else 8)
     report = check_submission(folder(tmp_path / "a", ATTACKS[end][name]()))
     if end == HARMLESS:
-        check_harmless(report.played())
+        check_harmless(report.entry)
     else:
         assert report.refusal.name == end, report.refusal
         assert report.refusal.reason.isprintable() and len(report.refusal.reason) < 1600

@@ -22,7 +22,7 @@ _COMMANDS = {
     "evaluate": ("evaluate:evaluate", "score entries on scenarios of a suite"),
     "leaderboard": ("evaluate:leaderboard", "rank entries on a suite and write the table to a README"),
     "report": ("report:report", "one page about one entry: score, worst scenarios, operators' tests, damping"),
-    "results": ("results:app", "stored results: compute them again and compare"),
+    "results": ("evaluate:results_app", "stored results: compute them again and compare"),
     "submission": ("submission:app", "policies of others: write a template, check a folder, score it in isolation"),
     "suites": ("suites:suites", "the suites of scenarios, or one scenario"),
     "grid": ("grid:app", "grids of your own: bring one in, check it"),

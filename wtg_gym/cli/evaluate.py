@@ -1,12 +1,17 @@
-"""`wtg-gym evaluate` and `wtg-gym leaderboard`: entries scored on scenarios of a suite, and ranked."""
+"""`wtg-gym evaluate`, `leaderboard` and `results`: entries scored on scenarios of a suite, ranked, and scored again."""
 
 import dataclasses
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 
 from wtg_gym.cli import options, output
+
+#: Differences of results that are printed.
+_SHOWN = 20
+
+results_app = App(name="results", help="Work with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.")
 
 
 def evaluate(
@@ -48,16 +53,12 @@ def evaluate(
     """
     from wtg_gym.cli import scoring
 
-    processes = scoring.chosen_workers(workers, threads)
-    planned = {
-        **scoring.chosen_scenarios(suite, split, seeds),
-        "duration_s": duration,
-    }
+    processes = scoring.chosen_workers(workers)
+    planned = {**scoring.chosen_scenarios(suite, split, seeds), "duration_s": duration}
     scoring.check_stored(results, planned)
-    with scoring.kept_parts(results) as partial:
-        # Last, because it takes longest, and may run code.
-        chosen = scoring.chosen_entries(entries, suite)
-        scores = scoring.run_evaluation(chosen, **planned, partial=partial, n_threads=threads, workers=processes)
+    # Last, because it takes longest, and may run code.
+    chosen = scoring.chosen_entries(entries, suite)
+    scores = scoring.run_evaluation(chosen, results, **planned, n_threads=threads, workers=processes)
     return scoring.finish(scores, results, as_json=json)
 
 
@@ -96,21 +97,68 @@ def leaderboard(
 
     sections = [f"leaderboard:{suite}", f"leaderboard:{suite}:details"]
     pages = [(page, output.check_page("--readme", page, sections)) for page in readme]
-    processes = scoring.chosen_workers(workers, threads)
-    with scoring.kept_parts(results) as partial:
-        chosen = scoring.chosen_entries(entries, suite)
-        check_version(chosen, get_suite(suite))
-        how: dict[str, Any] = {"suite": suite, "split": "test", "partial": partial, "n_threads": threads}
-        how["workers"] = processes
-        laws = [entry for entry in chosen if not isinstance(entry.policy, OnnxPolicy)]
-        if not json and laws and len(laws) < len(chosen):
-            # They take seconds, the others minutes.
-            scoring.print_ranking(scoring.run_evaluation(laws, **how))
-            output.note(f"these are the laws; {len(chosen) - len(laws)} policies follow")
-        ranking = scoring.run_evaluation(chosen, **how)
+    processes = scoring.chosen_workers(workers)
+    chosen = scoring.chosen_entries(entries, suite)
+    check_version(chosen, get_suite(suite))
+    how: dict[str, Any] = {"suite": suite, "split": "test", "n_threads": threads, "workers": processes}
+    laws = [entry for entry in chosen if not isinstance(entry.policy, OnnxPolicy)]
+    if not json and laws and len(laws) < len(chosen):
+        # They take seconds, the others minutes.
+        scoring.print_ranking(scoring.run_evaluation(laws, results, **how))
+        output.note(f"these are the laws; {len(chosen) - len(laws)} policies follow")
+    ranking = scoring.run_evaluation(chosen, results, **how)
     # Without its parts, which would be removed once the results are written.
     code = scoring.finish(dataclasses.replace(ranking, parts=None), results, as_json=json)
     for page, section in pages:
         changed = update_between_markers(page, markdown_section(ranking, details=section == sections[1]), section)
         output.note(f"{page}: {'updated' if changed else 'already up to date'}")
     return code
+
+
+@results_app.command
+def recompute(
+    results: Path,
+    /,
+    *,
+    entries: options.Entries = ("baselines",),
+    threads: options.Threads = None,
+    workers: options.WorkerOptions = options.WorkerOptions(),
+) -> int:
+    """Compute results again, and say whether they are identical.
+
+    Plays the same scenarios with the same settings, and compares every number of every episode to the last bit, the
+    policies' sha256, kinds and laws, and the suite's hash. If anything differs, it is printed, and the exit code is 1.
+    Other versions of source code or packages and other texts about an entry are printed but do not count as
+    differences: laws give the same bits on one type of processor, a policy's last digits may depend on onnxruntime.
+    Scenarios, lengths and weights that are not the benchmark's are printed too.
+
+    examples:
+      wtg-gym results recompute results/standard-test.json --entries baselines policies
+
+    Args:
+        results: JSON file of results, the CSV beside it
+    """
+    from wtg_gym.cli import scoring
+    from wtg_gym.evaluation import Results, episodes, evaluator
+    from wtg_gym.progress import Progress
+
+    stored = Results.read(results)
+    processes = scoring.chosen_workers(workers)
+    chosen = scoring.chosen_entries(entries, stored.suite)
+    with Progress("episodes") as progress:
+        comparison = evaluator.recompute(
+            stored, chosen, n_threads=threads, workers=processes, on_progress=progress.update
+        )
+    for where, before, now in comparison.circumstances:
+        output.note(f"{where} was {before}, is {now}")
+    for text in evaluator.departures(stored):
+        output.note(f"not the benchmark's own: {text}")
+    if not comparison.differences:
+        output.say(
+            f"identical: {len(episodes.COLUMNS) * len(stored.episodes)} values of {len(stored.episodes)} episodes"
+        )
+        return 0
+    shown = comparison.differences[:_SHOWN]
+    output.say(f"not identical: {len(comparison.differences)} differences, the first {len(shown)}", "")
+    output.print_table(("where", "stored", "now"), shown, left=(0, 1, 2))
+    return 1

@@ -43,7 +43,7 @@ def report(
     for package in ("matplotlib", "markdown_it"):
         require_extra(package, "wtg-gym report")
     from wtg_gym.cli import scoring
-    from wtg_gym.evaluation.evaluator import chosen_seeds
+    from wtg_gym.evaluation.evaluator import chosen_seeds, evaluate
     from wtg_gym.files import write_together
     from wtg_gym.plotting import report as page
     from wtg_gym.policies.entry import check_version
@@ -56,13 +56,16 @@ def report(
     if len({each.name for each in chosen}) > 1:
         raise ValueError(f"a report is about one entry, {entry!r} are {len(chosen)}")
     check_version(chosen[:1], get_suite(page.SUITE))
-    played: dict[str, Any] = {"split": split, "seeds": seeds, "drawn": drawn, "stored": results, "n_threads": threads}
+    stored = page.stored_results(results, split, chosen[0]) if seeds is None else None
+    how: dict[str, Any] = {"seeds": seeds, "n_threads": threads}
     with Progress("episodes") as progress:
-        made = page.make_report(chosen[0], entry, **played, on_progress=progress.update)
+        scores = stored or evaluate(chosen[0], page.SUITE, split, **how, on_progress=progress.update)
+    made = page.Report(chosen[0], entry, scores, stored is not None, drawn, threads)
     with Progress("sections") as progress:
-        files = page.report_markdown(made, output.stem, progress.update)
+        files = page.report_files(made, output.stem, progress.update)
+    html = files.pop(f"{output.stem}.html")
     if output.suffix != ".md":
-        files = {output.name: page.report_html(made, files)}
+        files = {output.name: html}
     write_together({output.with_name(name): content for name, content in files.items()})
     note(f"wrote {', '.join(str(output.with_name(name)) for name in files)}")
     return 0

@@ -1,9 +1,8 @@
 """Scoring on the command line: the values of options, one evaluation, and the printed ranking."""
 
-import contextlib
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,15 +50,13 @@ def chosen_scenarios(suite: str, split: str, options: SeedOptions) -> dict[str, 
     return {**chosen, "seeds": list(seeds[: options.scenarios])}
 
 
-def chosen_workers(options: WorkerOptions, threads: int | None) -> workers.Workers | None:
+def chosen_workers(options: WorkerOptions) -> workers.Workers | None:
     """Return the workers of `--backend`."""
     if options.backend is None:
         if unused := [name for name in ("address", "jobs") if getattr(options, name) is not None]:
             raise ValueError(f"--{unused[0]} is for workers: say which with --backend {', '.join(workers.BACKENDS)}")
         return None
-    if threads not in (None, 1):
-        raise ValueError(f"--threads {threads}: a worker steps with one thread; say how many with --jobs")
-    return workers.Workers(options.backend, options.address, options.jobs)
+    return workers.Workers(**vars(options))
 
 
 def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
@@ -86,22 +83,19 @@ def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
         )
 
 
-@contextlib.contextmanager
-def kept_parts(folder: Path | None) -> Iterator[Path | None]:
-    """Give the folder of finished parts in that of the results; after Ctrl-C, name it."""
+def run_evaluation(entries: Sequence[Entry], folder: Path | None, **options: Any) -> Results:
+    """Evaluate with progress on stderr, and leave out an entry whose policy fails; `options` are those of `evaluate`.
+
+    Finished parts are kept beside the results in a folder, if there is one; after Ctrl-C, it is named.
+    """
     partial = None if folder is None else folder / "partial"
     try:
-        yield partial
+        with Progress("episodes") as progress:
+            return evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
     except KeyboardInterrupt:
         if partial is not None:
             note(f"finished parts are kept in {partial}: run the same command again to go on")
         raise
-
-
-def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **options: Any) -> Results:
-    """Evaluate with progress on stderr; a policy that fails is left out; `options` are arguments of `evaluate`."""
-    with Progress("episodes") as progress:
-        return evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
 
 
 def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:

@@ -127,22 +127,19 @@ def score(
         raise ValueError(f"--json prints one suite, the folders are for those of {', '.join(planned)}")
     for scenarios in planned.values():
         scoring.check_stored(results, scenarios)
-    with scoring.kept_parts(results) as partial:
-        reports, clashes = _judged(folders, gate)
-        why = _why_left_out(reports, clashes)
-        for reason in dict.fromkeys(why.values()):
-            note(f"left out: {reason}")
-        entries = {
-            report.folder: report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why
-        }
-        codes = [int(bool(why))]
-        for name, scenarios in planned.items():
-            env_id = get_suite(name).env_id
-            if of_suite := {folder: entry for folder, entry in entries.items() if entry.environment == env_id}:
-                played = scoring.run_evaluation([*of_suite.values()], partial=partial, n_threads=threads, **scenarios)
-                codes.append(scoring.finish(played, results, as_json=json))
-                if cards is not None:
-                    _write_cards(cards, of_suite, played, threads)
+    reports, clashes = _judged(folders, gate)
+    why = _why_left_out(reports, clashes)
+    for reason in dict.fromkeys(why.values()):
+        note(f"left out: {reason}")
+    entries = {report.folder: report.entry for report in reports if report.folder not in why and report.entry}
+    codes = [int(bool(why))]
+    for name, scenarios in planned.items():
+        env_id = get_suite(name).env_id
+        if of_suite := {folder: entry for folder, entry in entries.items() if entry.environment == env_id}:
+            played = scoring.run_evaluation([*of_suite.values()], results, n_threads=threads, **scenarios)
+            codes.append(scoring.finish(played, results, as_json=json))
+            if cards is not None:
+                _write_cards(cards, of_suite, played, threads)
     return max(codes)
 
 
@@ -159,14 +156,15 @@ def _write_cards(folder: Path, entries: "Mapping[Path, Entry]", played: "Results
         if entry.name not in missing:
             continue
         missing.discard(entry.name)
+        results = page.part_of_entry(played, entry)
+        assert results is not None
+        made = page.Report(entry, _shown(path), results, stored=True, n_threads=n_threads)
         try:
-            made = page.make_report(entry, _shown(path), stored=played, n_threads=n_threads)
             with Progress("sections") as progress:
-                files = page.report_markdown(made, path.name, progress.update)
+                files = page.report_files(made, path.name, progress.update)
         except ValueError as error:
             note(f"no page about {entry.name}: {error}")
             continue
-        files[f"{path.name}.html"] = page.report_html(made, files)
         write_together({folder / name: content for name, content in files.items()})
         note(f"wrote {folder / path.name}.html and .md")
 

@@ -23,9 +23,8 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import LAW_PARAMETERS, Tape
 from wtg_gym.physics import linearisation, scenario, sensors
 from wtg_gym.physics.layout import Floats, Layout, Whole
-from wtg_gym.policies.entry import Entry
+from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.play import answer
-from wtg_gym.policies.policy_process import OnnxPolicy, PolicyError
 from wtg_gym.scenarios.suites import DEFAULT_SUITE
 from wtg_gym.tasks import cost, sensing
 

@@ -1,4 +1,4 @@
-"""Evaluating entries: every one is played through the scenarios of a suite, many at a time."""
+"""Evaluating entries: every one is played through the scenarios of a suite, many at a time, and again to compare."""
 
 import contextlib
 import copy
@@ -9,20 +9,20 @@ from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
-from wtg_gym.evaluation.episodes import Episode, check_size
-from wtg_gym.evaluation.metrics import Recorder, measure
+from wtg_gym.evaluation.episodes import COLUMNS, Episode, check_size
+from wtg_gym.evaluation.metrics import frequencies, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Played, Workers
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError, policy_process
-from wtg_gym.policies.entry import check_entries, check_version
+from wtg_gym.policies.entry import check_entries, check_version, run_label
 from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.ranges import is_whole, require_count, require_whole
@@ -40,10 +40,14 @@ _Part = tuple[Entry, list[int]]
 Entries = str | Path | Entry | Sequence[str | Path | Entry]
 #: How often the policies of an evaluation that ends early are closed until their threads have ended [s].
 _CLOSE_AGAIN_S = 0.05
-#: What finished batches belong to.
-_OF_PARTS = ("suite_hash", "split", "settings")
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario")
+
+#: The settings of results that are arguments of the environment, and what these are called.
+_ARGUMENTS = {name: name for name in ("duration_s", "control_dt", "weights", "groups", "on_failure", "sensors")}
+_ARGUMENTS["replaced"] = "plant"
+#: What need not change a number: the words of a failure, for example, may depend on the machine.
+_CIRCUMSTANCES = {"source_hash", "environment", "versions", "description", "source", "reason"}
 
 
 def evaluate(
@@ -90,27 +94,27 @@ def evaluate(
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
     competitors = _with_references(entries, settings.resolved_suite)
-    description = _description(settings, chosen_seeds(settings.suite_name, split, seeds), competitors)
-    store = PartialStore(partial, [settings.resolved_suite.name, *map(description.get, _OF_PARTS)])
-    parts = [part for entry in competitors for part in _parts(entry, description["seeds"], batch)]
+    chosen = chosen_seeds(settings.suite_name, split, seeds)
+    check_size((entry.name for entry in competitors), len(chosen))
+    shared, of_suite = shared_settings(settings), settings.resolved_suite
+    store = PartialStore(partial, [of_suite.name, of_suite.hash, split, shared])
+    parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
     episodes, failures = _episodes(store, parts, settings, n_threads, workers, on_progress, needed)
-    return Results(**description, episodes=tuple(episodes), parts=store).without(failures)
-
-
-def _description(settings: EnvSettings, seeds: Sequence[int], entries: Sequence[Entry]) -> dict[str, Any]:
-    check_size((entry.name for entry in entries), len(seeds))
-    return {
-        "suite": settings.suite_name,
-        "split": settings.split,
-        "suite_hash": settings.resolved_suite.hash,
-        "source_hash": source_hash(),
-        "seeds": tuple(seeds),
-        "environment": {"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
-        "settings": shared_settings(settings),
-        "versions": dict(versions()),
-        "entries": tuple(entry.to_dict() for entry in entries),
-    }
+    results = Results(
+        suite=settings.suite_name,
+        split=split,
+        suite_hash=of_suite.hash,
+        source_hash=source_hash(),
+        seeds=tuple(chosen),
+        environment={"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
+        settings=shared,
+        versions=dict(versions()),
+        entries=tuple(entry.to_dict() for entry in competitors),
+        episodes=tuple(episodes),
+        parts=store,
+    )
+    return results.without(failures)
 
 
 def _with_references(specs: Entries, suite: Suite) -> list[Entry]:
@@ -225,31 +229,30 @@ def _episodes(
         if on_progress is not None:
             on_progress(entry.name, n_done, n_all)
 
-    missing = []
+    remaining: dict[int, _Part] = {}
     for index, part in enumerate(parts):
         if (stored := store.load(*part)) is None:
-            missing.append(index)
+            remaining[index] = part
         else:
             take(index, stored)
-    remaining = [parts[index] for index in missing]
     if workers is None or not remaining:
         playing = _played_here(remaining, settings, n_threads)
     else:
         playing = workers.play(play_batch, settings, remaining)
     with contextlib.closing(playing) as batches:
-        for number, played in batches:
+        for index, played in batches:
             if get_suite(settings.suite_name).hash != suite_hash:
                 raise ValueError(
                     f"the suite {settings.suite_name} was written anew while it was played: evaluate again"
                 )
             if not isinstance(played, PolicyError):
-                store.save(*remaining[number], played)
-            take(missing[number], played)
+                store.save(*parts[index], played)
+            take(index, played)
     return [episode for index in sorted(episodes) for episode in episodes[index]], failures
 
 
 def _played_here(
-    parts: Sequence[_Part], settings: EnvSettings, n_threads: int | None
+    parts: Mapping[int, _Part], settings: EnvSettings, n_threads: int | None
 ) -> Generator[tuple[int, Played], None, None]:
     failures: dict[str, PolicyError] = {}
     playing: list[OnnxPolicy] = []
@@ -268,8 +271,8 @@ def _played_here(
         return index, rows
 
     # Laws share all threads by themselves, and a policy in Python is called by one thread only.
-    apart = [index for index, (entry, _) in enumerate(parts) if isinstance(entry.policy, OnnxPolicy)]
-    for index in sorted(set(range(len(parts))) - set(apart)):
+    apart = [index for index, (entry, _) in parts.items() if isinstance(entry.policy, OnnxPolicy)]
+    for index in sorted(parts.keys() - set(apart)):
         yield played(index, n_threads)
     pool, futures = ThreadPoolExecutor(n_threads or os.cpu_count()), []
     try:
@@ -292,9 +295,7 @@ def play_batch(
     """Play and measure one batch of scenarios, or of seeds of the settings' suite, from start to end."""
     try:
         with started_lanes(entry, settings, scenarios, n_threads) as (lanes, drawn):
-            recorder = Recorder(lanes)
-            for stepped in play(entry, lanes):
-                recorder.record(stepped)
+            courses_hz = frequencies(lanes, play(entry, lanes))
             return [
                 Episode(
                     entry=entry.name,
@@ -302,11 +303,79 @@ def play_batch(
                     seed=int(lanes.scenario_seeds[lane]),
                     scenario=scenario.name,
                     duration_s=min(scenario.duration_s, lanes.duration_s),
-                    **measure(lanes, recorder, lane),
+                    **measure(lanes, lane, course_hz),
                 )
-                for lane, scenario in enumerate(drawn)
+                for lane, (scenario, course_hz) in enumerate(zip(drawn, courses_hz, strict=True))
             ]
     except policy_process.NotIsolatedError:
         raise
     except PolicyError as error:
         return error
+
+
+class Comparison(NamedTuple):
+    """The findings of :func:`compare`: what differs, each with where, the stored value and the value now."""
+
+    #: Numbers, policies, suite and settings; empty where the results are reproduced.
+    differences: list[tuple[str, str, str]]
+    #: Source code, versions, the environment's answers and texts about entries; they need not change a number.
+    circumstances: list[tuple[str, str, str]]
+
+
+def recompute(stored: Results, entries: Sequence[Entry], **options: Any) -> Comparison:
+    """Evaluate the entries of stored results again, on the same scenarios with the same settings, and compare.
+
+    A ValueError names an entry that is missing; others than those of the results are ignored.
+    """
+    by_run = {(entry.name, entry.training_seed): entry for entry in entries}
+    expected = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
+    missing = [name for name, seed in expected if (name, seed) not in by_run and name not in stored.task.references]
+    if missing:
+        raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
+    settings = {_ARGUMENTS[name]: value for name, value in stored.settings.items() if name in _ARGUMENTS}
+    chosen = [by_run[run] for run in expected if run in by_run]
+    place: dict[str, Any] = {"suite": stored.suite, "split": stored.split, "seeds": stored.seeds}
+    return compare(stored, evaluate(chosen, **place, keep_going=True, **settings, **options))
+
+
+def compare(stored: Results, now: Results) -> Comparison:
+    """Compare two results on the same scenarios, to the last bit."""
+    comparison = Comparison([], [])
+    first, other = _facts(stored), _facts(now)
+    for where in {**first, **other}:
+        # Where one side alone has an entry's episodes, that it was not played to the end is the difference.
+        if first.get(where) != other.get(where) and not (where[-1] in COLUMNS and (where in first) != (where in other)):
+            differences = comparison.circumstances if _CIRCUMSTANCES & {*where} else comparison.differences
+            differences.append((": ".join(where), str(first.get(where)), str(other.get(where))))
+    return comparison
+
+
+def _facts(results: Results) -> dict[tuple[str, ...], Any]:
+    """Return what results say of themselves, of their entries and of every episode, by where it stands."""
+    facts: dict[tuple[str, ...], Any] = {(key,): getattr(results, key) for key in ("suite_hash", "source_hash")}
+    for part in ("settings", "environment", "versions"):
+        facts |= {(part, key): value for key, value in getattr(results, part).items()}
+    for entry in (*results.entries, *results.failed):
+        label = f"entry {run_label(entry['name'], entry['training_seed'])}"
+        # The texts about a reference depend on whether it was asked for.
+        left_out = _CIRCUMSTANCES if entry["name"] in results.task.references else ()
+        facts |= {(label, key): value for key, value in entry.items() if key not in left_out}
+        facts[label, "played to the end"] = "reason" not in entry
+    for episode in results.episodes:
+        label = f"{run_label(*episode.run)}, seed {episode.seed}"
+        facts |= {(label, column): cell for column, cell in zip(COLUMNS, episode.cells(), strict=True)}
+    return facts
+
+
+def departures(stored: Results) -> list[str]:
+    """Return how results depart from the benchmark's own: other settings, or not as many scenarios."""
+    usual = shared_settings(EnvSettings(suite=stored.suite, split=stored.split))
+    differences = [
+        f"{key} is {stored.settings.get(key)}, that of the benchmark {usual.get(key)}"
+        for key in {**usual, **stored.settings}
+        if stored.settings.get(key) != usual.get(key)
+    ]
+    n_all = len(get_suite(stored.suite).seeds(stored.split))
+    if len(stored.seeds) != n_all:
+        differences.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
+    return differences

@@ -5,7 +5,6 @@ A law has no sensors: nothing changes for it.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,6 @@ from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 from wtg_gym.tasks import V1
 from wtg_gym.tasks.episode import ACTION_MODES
-
-#: The frequency sensor hangs from this step on.
-HANGS_AT = 100
 
 
 def _worse(change: Callable[[Sensors], dict[str, Any]]) -> Callable[[Scenario], Scenario]:
@@ -45,16 +41,15 @@ def silent(seen: Floats, _kept: Floats) -> None:
 
 
 #: Changes of a scenario's sensors, by what is said of them.
-WORSE_SENSORS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
-    {
-        "delay +0.5 s": _worse(lambda sensors: {"delay_s": round(sensors.delay_s + 0.5, 9)}),
-        "wind bias × 4": _worse(lambda sensors: {"wind_bias": tuple(4.0 * bias for bias in sensors.wind_bias)}),
-    }
-)
+WORSE_SENSORS: Mapping[str, Callable[[Scenario], Scenario]] = {
+    "delay +0.5 s": _worse(lambda sensors: {"delay_s": round(sensors.delay_s + 0.5, 9)}),
+    "wind bias × 4": _worse(lambda sensors: {"wind_bias": tuple(4.0 * bias for bias in sensors.wind_bias)}),
+}
 #: Faults of the sensors of the first group, the largest, with the step from which on.
-SENSOR_FAULTS: Mapping[str, tuple[Callable[[Floats, Floats], None], int]] = MappingProxyType(
-    {"a frequency sensor hangs": (hanging, HANGS_AT), "a group's observation is 0": (silent, 0)}
-)
+SENSOR_FAULTS: Mapping[str, tuple[Callable[[Floats, Floats], None], int]] = {
+    "a frequency sensor hangs": (hanging, 100),
+    "a group's observation is 0": (silent, 0),
+}
 
 
 @dataclass
@@ -82,10 +77,6 @@ class FaultyPolicy:
             seen, state=memory, episode_start=episode_start, deterministic=deterministic
         )
         return actions, (step + 1, kept, memory)
-
-    def close(self) -> None:
-        """End the policy's process, where it has one."""
-        getattr(self.policy, "close", lambda: None)()
 
 
 def with_faults(

@@ -4,9 +4,8 @@ Every lane is measured from its own values alone, so that no number depends on t
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -32,64 +31,50 @@ class Metric:
 
 
 #: Every metric of an episode. Extremes are taken at every simulation step.
-METRICS: Mapping[str, Metric] = MappingProxyType(
-    {
-        "cost": Metric("-", "total cost, minus the return"),
-        **{f"cost_{term}": Metric("-", f"{term} term of the total cost") for term in COST_TERMS},
-        "nadir_hz": Metric("Hz", "lowest frequency of the centre of inertia"),
-        "zenith_hz": Metric("Hz", "highest frequency of the centre of inertia"),
-        "worst_nadir_hz": Metric("Hz", "lowest frequency of any bus or unit; in extended physics only", optional=True),
-        "worst_zenith_hz": Metric(
-            "Hz", "highest frequency of any bus or unit; in extended physics only", optional=True
-        ),
-        "largest_voltage_pu": Metric(
-            "p.u.", "highest terminal voltage of any connected group; in extended physics only", optional=True
-        ),
-        "largest_rocof_hz_s": Metric(
-            "Hz/s", "largest absolute rate of change of the centre of inertia's frequency over 500 ms"
-        ),
-        "quasi_steady_deviation_hz": Metric(
-            "Hz", "mean frequency of the last 5 s minus the nominal one; none after a failure", optional=True
-        ),
-        "energy_mwh": Metric("MWh", "energy all groups captured until the end or the failure"),
-        "energy_share_percent": Metric("%", "captured of the available energy, at the best power coefficient"),
-        "duty_error_percent": Metric(
-            "%", "mean distance of the captured from the asked power, of the available, over time and groups"
-        ),
-        "least_tip_speed_ratio": Metric("-", "smallest tip-speed ratio of any group"),
-        "largest_tip_speed_ratio": Metric("-", "largest tip-speed ratio of any group"),
-        "overload_time_s": Metric("s", "time above the converter's overload limit, of the group with most of it"),
-        "peak_power_pu": Metric("p.u.", "largest delivered power of any group, on its own base"),
-        "constraint_time_s": Metric("s", "time of the intervals with a constraint violated"),
-        "tripped_groups": Metric(
-            "-", "groups disconnected by an event, or by their protection where a failure trips instead of ends"
-        ),
-        "shed_energy_mwh": Metric(
-            "MWh", "load not served, at 1 p.u. of voltage; in extended physics only", optional=True
-        ),
-        "survived_s": Metric("s", "simulated time until the end or the failure"),
-        "reserve_margin": Metric("-", "reserve margin of the scenario; in version v1 only", optional=True),
-    }
-)
+METRICS: Mapping[str, Metric] = {
+    "cost": Metric("-", "total cost, minus the return"),
+    **{f"cost_{term}": Metric("-", f"{term} term of the total cost") for term in COST_TERMS},
+    "nadir_hz": Metric("Hz", "lowest frequency of the centre of inertia"),
+    "zenith_hz": Metric("Hz", "highest frequency of the centre of inertia"),
+    "worst_nadir_hz": Metric("Hz", "lowest frequency of any bus or unit; in extended physics only", optional=True),
+    "worst_zenith_hz": Metric("Hz", "highest frequency of any bus or unit; in extended physics only", optional=True),
+    "largest_voltage_pu": Metric(
+        "p.u.", "highest terminal voltage of any connected group; in extended physics only", optional=True
+    ),
+    "largest_rocof_hz_s": Metric(
+        "Hz/s", "largest absolute rate of change of the centre of inertia's frequency over 500 ms"
+    ),
+    "quasi_steady_deviation_hz": Metric(
+        "Hz", "mean frequency of the last 5 s minus the nominal one; none after a failure", optional=True
+    ),
+    "energy_mwh": Metric("MWh", "energy all groups captured until the end or the failure"),
+    "energy_share_percent": Metric("%", "captured of the available energy, at the best power coefficient"),
+    "duty_error_percent": Metric(
+        "%", "mean distance of the captured from the asked power, of the available, over time and groups"
+    ),
+    "least_tip_speed_ratio": Metric("-", "smallest tip-speed ratio of any group"),
+    "largest_tip_speed_ratio": Metric("-", "largest tip-speed ratio of any group"),
+    "overload_time_s": Metric("s", "time above the converter's overload limit, of the group with most of it"),
+    "peak_power_pu": Metric("p.u.", "largest delivered power of any group, on its own base"),
+    "constraint_time_s": Metric("s", "time of the intervals with a constraint violated"),
+    "tripped_groups": Metric(
+        "-", "groups disconnected by an event, or by their protection where a failure trips instead of ends"
+    ),
+    "shed_energy_mwh": Metric("MWh", "load not served, at 1 p.u. of voltage; in extended physics only", optional=True),
+    "survived_s": Metric("s", "simulated time until the end or the failure"),
+    "reserve_margin": Metric("-", "reserve margin of the scenario; in version v1 only", optional=True),
+}
 
 
-class Recorder:
-    """Records the course of the frequency, which the simulator does not keep, from started episodes."""
+def frequencies(lanes: TaskLanes, steps: Iterable[npt.NDArray[np.bool_]]) -> list[Floats]:
+    """Follow started episodes to their ends; return each lane's frequency [Hz] at its start and after its steps.
 
-    def __init__(self, lanes: TaskLanes) -> None:
-        self._lanes = lanes
-        n_steps = int(lanes.task_values("end_step").max()) // lanes.n_substeps
-        #: Frequency of the centre of inertia [Hz], shape (n_lanes, n_steps + 1).
-        self.frequency_hz = np.zeros((lanes.n_lanes, n_steps + 1))
-        #: Control steps each lane has made, shape (n_lanes,).
-        self.n_steps = np.zeros(lanes.n_lanes, dtype=np.int64)
-        self.frequency_hz[:, 0] = lanes.nominal_hz * lanes.simulator.lane_values("coi")
-
-    def record(self, stepped: npt.NDArray[np.bool_]) -> None:
-        """Take a sample of the lanes that made the last step, shape (n_lanes,)."""
-        self.n_steps[stepped] += 1
-        frequency = self._lanes.nominal_hz * self._lanes.simulator.lane_values("coi")
-        self.frequency_hz[stepped, self.n_steps[stepped]] = frequency[stepped]
+    `steps` are those of :func:`~wtg_gym.policies.play.play`. The frequency is that of the centre of inertia, whose
+    course the simulator does not keep.
+    """
+    samples = [lanes.nominal_hz * lanes.simulator.lane_values("coi")]
+    samples += [lanes.nominal_hz * lanes.simulator.lane_values("coi") for _ in steps]
+    return [course[: 1 + n] for course, n in zip(np.transpose(samples), lanes.n_steps().tolist(), strict=True)]
 
 
 def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: float) -> float:
@@ -101,49 +86,51 @@ def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: 
     return math.fsum(frequency_hz[-n_window:].tolist()) / n_window - nominal_hz
 
 
-def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
-    """Return "metrics" of a lane that is over, by the names in :data:`METRICS`, and its "failure" (empty: none)."""
-    simulator = lanes.simulator
+def measure(lanes: TaskLanes, lane: int, frequency_hz: Floats) -> dict[str, Any]:
+    """Return "metrics" of a lane that is over, by the names in :data:`METRICS`, and its "failure" (empty: none).
+
+    `frequency_hz` is the lane's part of :func:`frequencies`.
+    """
+    simulator, nominal_hz = lanes.simulator, lanes.nominal_hz
+    base_mva, extended = simulator.settings.case.base_mva, simulator.settings.extended
     status = Status(int(lanes.statuses()[lane]))
-    terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
-    n_steps, dt = int(recorder.n_steps[lane]), lanes.settings.step_s
-    frequency_hz = recorder.frequency_hz[lane, : n_steps + 1]
-    steady = quasi_steady_deviation(frequency_hz, dt, lanes.nominal_hz) if status == Status.RUNNING else None
+    n_steps, dt = frequency_hz.size - 1, lanes.settings.step_s
+
+    def grid(name: str) -> float:
+        return float(simulator.lane_values(name)[lane])
+
+    def task(name: str) -> float:
+        return float(lanes.task_values(name)[lane])
 
     def groups(name: str) -> list[float]:
         values: list[float] = simulator.wtg_values(name)[lane].tolist()
         return values
 
+    terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
     energies = zip(simulator.plant.share, groups("energy_captured"), strict=True)
     captured = math.fsum(share * energy for share, energy in energies)
-    # What extended physics alone computes.
-    optional: dict[str, float | None] = {name: None for name, metric in METRICS.items() if metric.optional}
-    base_mva = simulator.settings.case.base_mva
-    if simulator.settings.extended:
-        optional |= {
-            "worst_nadir_hz": lanes.nominal_hz * float(simulator.lane_values("worst_min")[lane]),
-            "worst_zenith_hz": lanes.nominal_hz * float(simulator.lane_values("worst_max")[lane]),
-            "largest_voltage_pu": max(groups("largest_voltage")),
-            "shed_energy_mwh": float(simulator.lane_values("shed_energy")[lane]) * base_mva / 3600.0,
-        }
+    is_whole = status == Status.RUNNING
     metrics: dict[str, float | None] = {
-        **optional,
         "cost": math.fsum(terms.values()),
         **terms,
-        "nadir_hz": lanes.nominal_hz * float(simulator.lane_values("coi_min")[lane]),
-        "zenith_hz": lanes.nominal_hz * float(simulator.lane_values("coi_max")[lane]),
-        "largest_rocof_hz_s": float(lanes.task_values("largest_rocof")[lane]),
-        "quasi_steady_deviation_hz": steady,
+        "nadir_hz": nominal_hz * grid("coi_min"),
+        "zenith_hz": nominal_hz * grid("coi_max"),
+        "worst_nadir_hz": nominal_hz * grid("worst_min") if extended else None,
+        "worst_zenith_hz": nominal_hz * grid("worst_max") if extended else None,
+        "largest_voltage_pu": max(groups("largest_voltage")) if extended else None,
+        "largest_rocof_hz_s": task("largest_rocof"),
+        "quasi_steady_deviation_hz": quasi_steady_deviation(frequency_hz, dt, nominal_hz) if is_whole else None,
         "energy_mwh": captured * base_mva / 3600.0,
-        "energy_share_percent": 100.0 * captured / float(lanes.task_values("available_energy")[lane]),
-        "duty_error_percent": 100.0 * float(lanes.task_values("duty_error")[lane]) / (n_steps * dt),
+        "energy_share_percent": 100.0 * captured / task("available_energy"),
+        "duty_error_percent": 100.0 * task("duty_error") / (n_steps * dt),
         "least_tip_speed_ratio": min(groups("least_tsr")),
         "largest_tip_speed_ratio": max(groups("largest_tsr")),
         "overload_time_s": max(groups("overload_time")),
         "peak_power_pu": max(groups("peak_power")),
-        "constraint_time_s": float(lanes.task_values("constraint_sum")[lane]) * lanes.settings.interval_s,
+        "constraint_time_s": task("constraint_sum") * lanes.settings.interval_s,
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
-        "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,
+        "shed_energy_mwh": grid("shed_energy") * base_mva / 3600.0 if extended else None,
+        "survived_s": grid("step") * simulator.plant.simulation_dt,
         "reserve_margin": float(lanes.reserve_margins[lane]) if lanes.suite.margins else None,
     }
     return {"metrics": metrics, "failure": TERMINATION_REASONS[status]}

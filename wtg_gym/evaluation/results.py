@@ -89,17 +89,17 @@ class Results:
         """Mean score of every entry with its 95 % interval, by its name; errors as of :attr:`summaries`."""
         return self._by_entry({row.name: row.score for row in self.summaries if row.score})
 
-    @cached_property
+    @property
     def summaries(self) -> list[summary.EntrySummary]:
         """Summary of every entry; a NoScaleError if, in v0, the entry at 0 is not worse than the one at 100."""
         self._check_scale()
-        offsets = cost_offsets(self.groups, self.task)
-        return summary.scored(self._measured, self.runs, self.pinned_costs, self.task, offsets, self._scoring)
+        return self._summaries
 
     @cached_property
-    def _measured(self) -> list[summary.EntrySummary]:
-        suite = get_suite(self.suite)
-        return summary.measured(self.entries, self.runs, self.pinned_costs, suite, self.groups, self._scoring)
+    def _summaries(self) -> list[summary.EntrySummary]:
+        """The :attr:`summaries`, without scores where there are none."""
+        of_entries = self.entries, self.runs, self.pinned_costs, get_suite(self.suite), self.groups
+        return summary.summaries(*of_entries, self._scoring, with_scores=not self.no_score)
 
     @cached_property
     def _scoring(self) -> statistics.Bootstrap | Adjusted:
@@ -141,7 +141,7 @@ class Results:
     @property
     def ranking(self) -> list[summary.EntrySummary]:
         """The :attr:`summaries`, the best first, in v1 the marked ones before; without a score the least mean cost."""
-        return summary.ranked(self._measured if self.no_score else self.summaries)
+        return summary.ranked(self._summaries)
 
     @cached_property
     def no_score(self) -> str:

@@ -127,17 +127,13 @@ class Bootstrap:
 
     def score(self, gains: Floats) -> Interval:
         """Return the score with its interval."""
-        value = 100.0 * (1.0 + mean(gains) / self._scale)
-        return _percentile_interval(value, self._resampled_scores(gains, 0))
+        scored = self._scales > 0.0
+        samples = 100.0 * (1.0 + _resampled(gains)[scored] / self._scales[scored])
+        return _percentile_interval(100.0 * (1.0 + mean(gains) / self._scale), samples)
 
     def strata(self, gains: Floats) -> dict[str, Interval]:
         """Return nothing."""
         return {}
-
-    def score_difference(self, gains: Floats, other: Floats) -> Interval:
-        """Return the score of one entry minus that of another; their training seeds are drawn independently."""
-        value = 100.0 * (mean(gains) - mean(other)) / self._scale
-        return _percentile_interval(value, self._resampled_scores(gains, 0) - self._resampled_scores(other, 1))
 
     def share_difference(self, happened: Floats, other: Floats) -> Interval:
         """Return how much more often something happened than under another entry [percentage points], paired."""
@@ -149,8 +145,3 @@ class Bootstrap:
         tail, base = (_resampled(values, side, worst_tenth) for side, values in enumerate((costs, other)))
         value = 100.0 * (mean(worst_tenth(costs)) / mean(worst_tenth(other)) - 1.0)
         return _percentile_interval(value, 100.0 * (tail / base - 1.0))
-
-    def _resampled_scores(self, gains: Floats, side: int) -> Floats:
-        scored = self._scales > 0.0
-        scores: Floats = 100.0 * (1.0 + _resampled(gains, side)[scored] / self._scales[scored])
-        return scores

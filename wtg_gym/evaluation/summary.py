@@ -2,25 +2,25 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from wtg_gym.evaluation import adjusted, statistics
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.score import gains, gains_by_term, pinned_cost
+from wtg_gym.evaluation.score import cost_offsets, gains, gains_by_term, pinned_cost
 from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
 from wtg_gym.scenarios.suite import Suite
-from wtg_gym.tasks import Task
 
 #: The episodes of an entry, a sequence for each training seed.
 Runs = Sequence[Sequence[Episode]]
 #: The cost's terms that the points of a score are counted by; the others, and the cost of failures, are "rest".
-POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
-)
+POINTS: Mapping[str, tuple[str, ...]] = {
+    "frequency_rocof": ("frequency", "rocof"),
+    "duty": ("duty",),
+    "overload": ("overload",),
+}
 REST = "rest"
 #: Largest deviation that the grid of Continental Europe is designed for, 0.8 Hz; a run beyond it counts with the lost.
 DESIGN_DEVIATION_MHZ = 800.0
@@ -64,18 +64,28 @@ class EntrySummary:
     points_by_term: Mapping[str, float] = field(default_factory=dict)
 
 
-def measured(
+def summaries(
     entries: Sequence[Mapping[str, Any]],
     runs: Mapping[str, Runs],
     costs: Mapping[str, Floats],
     suite: Suite,
     groups: Groups,
     scoring: Bootstrap | adjusted.Adjusted,
+    *,
+    with_scores: bool,
 ) -> list[EntrySummary]:
-    """Return the row of every name without its score; costs are pinned, (n_runs, n_scenarios), all on one order."""
+    """Return the row of every name; costs are pinned, (n_runs, n_scenarios), all on one order."""
     task, nominal_hz = suite.task, suite.nominal_hz
     failed = {name: lost(entry_runs) for name, entry_runs in runs.items()}
     bad = {name: lost_or_beyond(entry_runs, nominal_hz) for name, entry_runs in runs.items()}
+
+    def score(name: str) -> dict[str, Any]:
+        hundred, offsets = costs[task.hundred][0], cost_offsets(groups, task)
+        gained = gains(costs[name], hundred, offsets)
+        parts, parts_of_hundred = (parts_of_costs(runs[each], costs[each]) for each in (name, task.hundred))
+        by_term = gains_by_term(costs[name], hundred, parts, parts_of_hundred[:, 0], offsets)
+        points = dict(zip((*POINTS, REST), map(scoring.points, by_term), strict=True))
+        return {"score": scoring.score(gained), "strata": scoring.strata(gained), "points_by_term": points}
 
     def row(name: str, entry: Mapping[str, Any]) -> EntrySummary:
         episodes, paid = runs[name], costs[name]
@@ -101,34 +111,10 @@ def measured(
             median_nadir_hz=float(np.median(_values(episodes, "nadir_hz"))),
             mean_duty_error_percent=statistics.mean(_values(episodes, "duty_error_percent")),
             mean_energy_share_percent=statistics.mean(_values(episodes, "energy_share_percent")),
+            **(score(name) if with_scores else {}),
         )
 
     return [row(name, entry) for name, entry in {entry["name"]: entry for entry in entries}.items()]
-
-
-def scored(
-    rows: Sequence[EntrySummary],
-    runs: Mapping[str, Runs],
-    costs: Mapping[str, Floats],
-    task: Task,
-    offsets: Floats,
-    scoring: Bootstrap | adjusted.Adjusted,
-) -> list[EntrySummary]:
-    """Return the :func:`measured` rows with their scores; `offsets` is J0 of every scenario, (n_scenarios,)."""
-    hundred = costs[task.hundred][0]
-    gained = {name: gains(paid, hundred, offsets) for name, paid in costs.items()}
-    terms = {row.name: parts_of_costs(runs[row.name], costs[row.name]) for row in rows}
-
-    def with_score(row: EntrySummary) -> EntrySummary:
-        parts = gains_by_term(costs[row.name], hundred, terms[row.name], terms[task.hundred][:, 0], offsets)
-        return replace(
-            row,
-            score=scoring.score(gained[row.name]),
-            strata=scoring.strata(gained[row.name]),
-            points_by_term=dict(zip((*POINTS, REST), map(scoring.points, parts), strict=True)),
-        )
-
-    return [with_score(row) for row in rows]
 
 
 def place(row: EntrySummary) -> tuple[bool, float]:

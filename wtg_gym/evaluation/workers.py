@@ -9,7 +9,7 @@ import importlib.util
 import os
 import socket
 import tempfile
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +22,7 @@ from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.extras import install_advice
 from wtg_gym.files import one_line
 from wtg_gym.policies import Entry, PolicyError
-from wtg_gym.ranges import require_whole
+from wtg_gym.ranges import require_choice, require_whole
 
 #: Backends, and the package each of them needs.
 BACKENDS = {"loky": "joblib", "dask": "distributed"}
@@ -51,8 +51,7 @@ class Workers:
 
     def __post_init__(self) -> None:
         backend, address, jobs = self.backend, self.address, self.jobs
-        if backend not in BACKENDS:
-            raise ValueError(f"unknown backend {backend!r}; allowed are {', '.join(BACKENDS)}")
+        require_choice("backend", backend, BACKENDS)
         if address is not None and backend == "loky":
             raise ValueError(f"an address is for dask, loky has workers on this machine only; got {address!r}")
         if jobs is not None:
@@ -63,7 +62,7 @@ class Workers:
             raise ValueError(f"backend {backend} needs {BACKENDS[backend]}; {install_advice('cluster')}")
 
     def play(
-        self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]
+        self, play: Play, settings: EnvSettings, parts: Mapping[int, tuple[Entry, list[int]]]
     ) -> Generator[tuple[int, Played], None, None]:
         """Yield (index, episodes or the policy's failure) of every part, (entry, seeds), as soon as it is finished.
 
@@ -71,7 +70,7 @@ class Workers:
         code, packages or processor, or is lost for good.
         """
         expected, parcels = circumstances(), dict[int, bytes]()
-        for entry, _ in parts:
+        for entry, _ in parts.values():
             try:
                 # As bytes: objects that Dask spreads out are lost with the worker that has them.
                 parcels[id(entry)] = parcels.get(id(entry)) or cloudpickle.dumps((entry, settings))
@@ -85,7 +84,7 @@ class Workers:
                 raise ValueError(f"no {self.backend} cluster answers at {self.address}: {one_line(error)}") from error
             indices = {
                 submit(_work, play, parcels[id(entry)], seeds, expected): index
-                for index, (entry, seeds) in enumerate(parts)
+                for index, (entry, seeds) in parts.items()
             }
             for future in as_completed(indices):
                 try:

@@ -1,7 +1,7 @@
 """The page of `wtg-gym play`: your actions against the reference in one scenario, and the cost of both at the end."""
 
 import html
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,7 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.rendering.diagram import EVENT, INK, SOFT, group_colour
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
+from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.scenarios import SPLITS, Suite
 
 if TYPE_CHECKING:
@@ -24,15 +25,6 @@ _INTRODUCTION = """<h2>Hold the frequency by hand</h2>
 Keep {nominal:g} Hz with the wind turbines, and let no rotor stall. The reference (dashed) plays the same scenario
 beside you and never acts. k up: the groups give more power and their rotors slow down; k down: they save. τ up: slower
 damping. Events are not announced. The arrow keys move the slider that was clicked last."""
-
-
-class Verdict(NamedTuple):
-    """What you or an anchor made of the scenario."""
-
-    name: str  # of who played
-    cost: float  # as it was paid
-    deviation_hz: float  # largest deviation of the frequency, up or down [Hz]
-    failure: str  # why it ended before its time; empty where it did not
 
 
 class Match:
@@ -56,14 +48,9 @@ class Match:
         self.nominal_hz = self._lanes.nominal_hz
         self._actions: list[npt.NDArray[np.float64]] = []
 
-    @property
-    def over(self) -> bool:
-        """Whether your run has ended."""
-        return self.has_ended(OWN)
-
-    def has_ended(self, lane: int) -> bool:
-        """Whether the run of a lane has ended."""
-        return bool(self._lanes.outputs.terminated[lane] or self._lanes.outputs.truncated[lane])
+    def has_ended(self, lane: int = OWN) -> bool:
+        """Return whether the run of a lane has ended."""
+        return bool(np.logical_or(*self._lanes.ended())[lane])
 
     @property
     def time_s(self) -> float:
@@ -89,18 +76,12 @@ class Match:
             "power": simulator.wtg_values("power"),
         }
 
-    def verdicts(self) -> list[Verdict]:
-        """Play your actions and the suite's anchors again, and return what the evaluator says, yours first."""
+    def episodes(self) -> list[Episode]:
+        """Play your actions and the suite's anchors again, and return the evaluator's episodes, yours first."""
         you = Entry(name="you", policy=_Played(self._actions))
         options: dict[str, Any] = {"seeds": [self.seed], "duration_s": self.duration_s, "n_threads": 1}
         results = evaluate([you], self.suite.name, self._split, **options)
-        verdicts = []
-        for name in (you.name, *results.task.anchors):
-            (episode,) = results.episodes_of(name)
-            metrics = {key: float(value) for key, value in episode.metrics.items() if value is not None}
-            deviation = max(self.nominal_hz - metrics["nadir_hz"], metrics["zenith_hz"] - self.nominal_hz)
-            verdicts.append(Verdict(name, metrics["cost"], deviation, episode.failure))
-        return verdicts
+        return [results.episodes_of(name)[0] for name in (you.name, *results.task.anchors)]
 
     def next_seed(self) -> int:
         """Return the seed after this one in its split; after the last one the first."""
@@ -137,9 +118,6 @@ class PlayPage:
             return made
 
         self._match, self._speed = match, speed
-        self._running = False
-        #: Control steps that are still to be made, a fraction of one between two ticks.
-        self._due = 0.0
         self._traces, self._strikes = ColumnDataSource(name="traces"), ColumnDataSource(name="strikes")
         self._start = button("start", "Start", self._toggle)
         self._status, self._verdict, self._events = (text(name) for name in ("status", "verdict", "events"))
@@ -191,25 +169,27 @@ class PlayPage:
         for slider in self._sliders:
             slider.value = 0.0
 
-    def _toggle(self) -> None:
-        if self._match.over:
-            self._play(self._match.seed)
-        self._running = not self._running
-        self._show()
-
     def _play(self, seed: int) -> None:
         """Put a scenario at its start, paused."""
         self._match = Match(self._match.suite, seed, self._match.duration_s)
-        self._running, self._due, self._seen = False, 0.0, list[tuple[float, str]]()
+        self._running = False
+        #: Control steps that are still to be made, a fraction of one between two ticks.
+        self._due, self._seen = 0.0, list[tuple[float, str]]()
         self._zero()
         self._traces.data = {name: [value] for name, value in self._now().items()}
         self._strikes.data = {"x": []}
         self._verdict.text = ""
         self._show()
 
+    def _toggle(self) -> None:
+        if self._match.has_ended():
+            self._play(self._match.seed)
+        self._running = not self._running
+        self._show()
+
     def _now(self) -> dict[str, float]:
         """Return where both stand, as a row of the traces; the line of a reference that failed ends."""
-        gone = self._match.has_ended(REFERENCE) and not self._match.over
+        gone = self._match.has_ended(REFERENCE) and not self._match.has_ended()
         now = {"t": self._match.time_s}
         for name, values in self._match.sample().items():
             for (lane, j), value in np.ndenumerate(values.reshape(2, -1)):
@@ -221,7 +201,7 @@ class PlayPage:
             return
         self._due += self._speed * _TICK_MS / 1000.0 / self._match.control_dt
         rows, struck = list[dict[str, float]](), list[tuple[float, str]]()
-        while self._due >= 1.0 and not self._match.over:
+        while self._due >= 1.0 and not self._match.has_ended():
             self._due -= 1.0
             struck += self._match.step(*(slider.value for slider in self._sliders))
             rows.append(self._now())
@@ -230,17 +210,17 @@ class PlayPage:
         if struck:
             self._seen += struck
             self._strikes.stream({"x": [time_s for time_s, _ in struck]})
-        if self._match.over:
+        if self._match.has_ended():
             self._running = False
-            self._verdict.text = verdict_text(self._match.verdicts(), self._match.time_s)
+            self._verdict.text = verdict_text(self._match)
         self._show()
 
     def _show(self) -> None:
         match = self._match
-        state = "over" if match.over else "running" if self._running else "paused" if match.time_s else "ready"
+        state = "over" if match.has_ended() else "running" if self._running else "paused" if match.time_s else "ready"
         self._start.label = "Pause" if self._running else "Start"
         frequency = match.sample()["frequency"][OWN]
-        lost = "" if match.over or not match.has_ended(REFERENCE) else " The reference has failed."
+        lost = "" if match.has_ended() or not match.has_ended(REFERENCE) else " The reference has failed."
         self._status.text = (
             f"<b>{match.time_s:.1f} s</b> of {self._match.duration_s:g} s, <b>{frequency:.2f} Hz</b>, {state}. "
             f"{match.suite.name}, scenario {match.seed}.{lost}"
@@ -249,11 +229,14 @@ class PlayPage:
         self._events.text = "<br>".join(lines) or "Nothing has happened yet."
 
 
-def verdict_text(verdicts: list[Verdict], end_s: float) -> str:
+def verdict_text(match: Match) -> str:
     """Return the end of a run as HTML: your cost, failure, and a table of everybody's."""
-    you = verdicts[0]
-    failed = f"<h2>Your run failed after {end_s:.1f} s: {you.failure}</h2>" if you.failure else ""
     rows = [("", "cost", "largest deviation", "failure")]
-    rows += [(v.name, f"{v.cost:.1f}", f"{1000.0 * v.deviation_hz:.0f} mHz", v.failure) for v in verdicts]
+    for episode in match.episodes():
+        cost, lowest, highest = (float(episode.metrics[key] or 0.0) for key in ("cost", "nadir_hz", "zenith_hz"))
+        deviation_hz = max(match.nominal_hz - lowest, highest - match.nominal_hz)
+        rows.append((episode.entry, f"{cost:.1f}", f"{1000.0 * deviation_hz:.0f} mHz", episode.failure))
+    _, cost_text, _, failure = rows[1]
+    failed = f"<h2>Your run failed after {match.time_s:.1f} s: {failure}</h2>" if failure else ""
     table = "".join("<tr><td>" + "<td style='padding-left:2em'>".join(row) for row in rows)
-    return f"{failed}<h2>Your cost: {you.cost:.1f}</h2><table>{table}</table>"
+    return f"{failed}<h2>Your cost: {cost_text}</h2><table>{table}</table>"

@@ -4,22 +4,24 @@ A page of sections, in Markdown with its pictures beside, or made HTML of, with 
 """
 
 import base64
+import itertools
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import damping, evaluator, faults, grid_tests, recording, statistics, table
+from wtg_gym.evaluation import damping, evaluator, faults, grid_tests, recording, score, statistics, table
 from wtg_gym.evaluation.results import Results, score_difference
 from wtg_gym.evaluation.summary import EntrySummary, Runs, lost, lost_or_beyond
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.plotting import margin, style, trajectories
+from wtg_gym.plotting import style, trajectories
 from wtg_gym.policies import Entry, entry_folder
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 
@@ -41,20 +43,12 @@ _PANELS: Mapping[str, Callable[[recording.Recorded], statistics.Floats]] = {
     "power of all turbines [MW]": lambda run: run.power_mw,
     "slowest rotor [p.u.]": lambda run: run.rotor_speed_pu,
 }
-#: Text of a page, without anything from elsewhere.
-_PAGE = """\
-<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title><style>
-body {{ font: 16px/1.5 system-ui, sans-serif; color: #1b1b1b; background: #fff; margin: 0 auto; padding: 1rem;
-  max-width: 60rem; overflow-wrap: anywhere; }}
-h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.2rem; margin: 2.2rem 0 .3rem; }} p {{ max-width: 48rem; }}
-table {{ display: block; overflow-x: auto; border-collapse: collapse; font-size: .9rem; overflow-wrap: normal; }}
-th, td {{ padding: .3rem .7rem .3rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid #ddd; }}
-img {{ width: 100%; max-width: 28rem; }} pre {{ white-space: pre-wrap; font-size: .9rem; }}
-</style></head><body>
-{body}</body></html>
-"""
+#: Margin, J + J0 and whether the run is bad, of each scenario, (n_scenarios,) each.
+OverMargin = tuple[statistics.Floats, statistics.Floats, statistics.Floats]
+#: Edges of the bins of the margin [-]; the last one holds all beyond.
+_EDGES = (-0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.20, 0.30, 0.50)
+#: A page with its $title and $body, without anything from elsewhere.
+_PAGE = Path(__file__).with_name("page.html")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +71,7 @@ class Section:
     rows: Sequence[Sequence[str]] = ()
     numbers: Sequence[int] = ()
     note: str = ""
-    pictures: Sequence[Picture] = field(default=())
+    pictures: Sequence[Picture] = ()
 
     def markdown(self, stem: str) -> str:
         """Return the section as Markdown, with pictures in files that are called after the page's stem."""
@@ -99,7 +93,7 @@ def _plain(text: str) -> str:
     return "".join(f"\\{sign}" if sign in "\\`*_[]<>#&" else sign for sign in text)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Report:
     """An entry of version v1 with its results."""
 
@@ -107,13 +101,8 @@ class Report:
     spec: str  # by which commands name the entry
     results: Results  # with those of the version's references
     stored: bool  # whether the results were read, not played
-    drawn: Sequence[int]  # seeds of the scenarios to draw; empty for those that cost the entry most
-    n_threads: int | None  # to step with
-
-    @property
-    def title(self) -> str:
-        """Heading of the page."""
-        return f"Report: {self.entry.label}"
+    drawn: Sequence[int] = ()  # seeds of the scenarios to draw; empty for those that cost the entry most
+    n_threads: int | None = None  # to step with
 
     @property
     def hundred(self) -> str:
@@ -131,36 +120,18 @@ class Report:
         return f"{chance:.2g}" if chance >= 0.001 else "below 0.001"
 
 
-def make_report(
-    entry: Entry,
-    spec: str,
-    *,
-    split: str = "validation",
-    seeds: Sequence[int] | None = None,
-    drawn: Sequence[int] = (),
-    stored: Path | Results | None = None,
-    n_threads: int | None = None,
-    on_progress: evaluator.Progress | None = None,
-) -> Report:
-    """Return the report of an entry of version v1, with results that are `stored` or in that folder, else played.
-
-    `seeds` are scenarios of the `split` to play; None for all, which may be read. Other arguments are as of
-    :class:`Report` and :func:`~wtg_gym.evaluation.evaluate`.
-    """
-    read = _stored_results(stored, split, entry) if stored is not None and seeds is None else None
-    results = read or evaluator.evaluate(entry, SUITE, split, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
-    return Report(entry=entry, spec=spec, results=results, stored=read is not None, drawn=drawn, n_threads=n_threads)
-
-
-def _stored_results(stored: Path | Results, split: str, entry: Entry) -> Results | None:
-    """Return the stored results of an entry and the version's references, if there are any of the same policy."""
-    if isinstance(stored, Results):
-        results = stored
-    elif (path := stored / f"{SUITE}-{split}.json").exists():
-        results = Results.read(path)
-        results.check_suite()
-    else:
+def stored_results(folder: Path, split: str, entry: Entry) -> Results | None:
+    """Return the :func:`part_of_entry` of a folder's results of the suite, if it has some of the same policy."""
+    path = folder / f"{SUITE}-{split}.json"
+    if not path.exists():
         return None
+    results = Results.read(path)
+    results.check_suite()
+    return part_of_entry(results, entry)
+
+
+def part_of_entry(results: Results, entry: Entry) -> Results | None:
+    """Return what results hold of an entry and the version's references; None without episodes of the same policy."""
     run, rows = (entry.name, entry.training_seed), {(row["name"], row["training_seed"]): row for row in results.entries}
     if entry.identity is None or run not in rows or rows[run]["sha256"] != entry.identity:
         return None
@@ -169,41 +140,38 @@ def _stored_results(stored: Path | Results, split: str, entry: Entry) -> Results
     return replace(results, entries=tuple(kept.values()), episodes=episodes, failed=())
 
 
-def report_markdown(
-    report: Report, stem: str, on_progress: evaluator.Progress = lambda name, done, n: None
-) -> dict[str, bytes | str]:
-    """Play what the sections show, and return the files of the page in Markdown by their names, the page last.
+def report_files(report: Report, stem: str, on_progress: evaluator.Progress) -> dict[str, bytes | str]:
+    """Play what the sections show, and return the page as `stem`.md, its pictures, and all in one as `stem`.html.
 
-    Pictures are called after the page's stem. `on_progress` is called with what is under way, and the sections done.
-    A PolicyError says that the entry's policy fails.
+    `on_progress` is called with what is under way, and the sections done. HTML needs markdown-it-py. A PolicyError says
+    that the entry's policy fails.
     """
     entry, versions = report.entry, report.results.versions
     source = f"Source: {entry.source}." if entry.source else ""
     origin = "stored results" if report.stored else "played for this page"
     scores = f"Scores: {origin}, wtg_gym {versions['wtg_gym']}."
     subtitle = [entry.description, f"Kind: {entry.kind}, on top of the law {entry.law.name}.", source, scores]
-    parts, files = [f"# {_plain(report.title)}", _plain(" ".join(filter(None, subtitle)))], dict[str, bytes | str]()
+    title, pictures = f"Report: {entry.label}", dict[str, bytes]()
+    parts = [f"# {_plain(title)}", _plain(" ".join(filter(None, subtitle)))]
     for done, section_of in enumerate(_SECTIONS):
         on_progress(section_of.__name__.strip("_").replace("_", " "), done, len(_SECTIONS))
         section = section_of(report)
         parts.append(section.markdown(stem))
         for picture in section.pictures:
-            files[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
-    return {**files, f"{stem}.md": "\n\n".join(parts) + "\n"}
+            pictures[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
+    page = "\n\n".join(parts) + "\n"
+    return {**pictures, f"{stem}.md": page, f"{stem}.html": _html(title, page, pictures)}
 
 
-def report_html(report: Report, files: Mapping[str, bytes | str]) -> str:
-    """Return the files of :func:`report_markdown` as one HTML page, which loads nothing; it needs markdown-it-py."""
+def _html(title: str, page: str, pictures: Mapping[str, bytes]) -> str:
+    """Return a page of Markdown as one of HTML, which loads nothing."""
     from markdown_it import MarkdownIt
 
-    *pictures, page = files
-    renderer = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table")
-    body = renderer.render(str(files[page]))
-    for name in pictures:
-        picture = files[name]
-        data = base64.b64encode(picture if isinstance(picture, bytes) else picture.encode()).decode()
+    body = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table").render(page)
+    for name, picture in pictures.items():
+        data = base64.b64encode(picture).decode()
         body = body.replace(f'src="{name}"', f'src="data:image/svg+xml;base64,{data}"')
-    return _PAGE.format(title=escape(report.title), body=body)
+    return Template(_PAGE.read_text(encoding="utf-8")).substitute(title=escape(title), body=body)
 
 
 def _interval(value: statistics.Interval) -> tuple[str, str]:
@@ -242,7 +210,7 @@ def _score(report: Report) -> Section:
 
 
 def _where_control_decides(report: Report) -> Section:
-    figure = margin.plot_over_margin(margin.by_entry(report.results), report.hundred, stacked=True)
+    figure = plot_over_margin(over_margin(report.results), report.hundred, stacked=True)
     caption = "Cost (J + J0, relative) and share of bad runs over the reserve margin"
     return Section(
         heading="Where control decides",
@@ -250,6 +218,52 @@ def _where_control_decides(report: Report) -> Section:
         f"per cent of the load: below 1, an entry pays less than {report.hundred}.",
         pictures=[Picture(name="margin", figure=figure, caption=caption)],
     )
+
+
+def over_margin(results: Results) -> dict[str, OverMargin]:
+    """Return margin, J + J0 and whether the run is bad of each scenario, by entry, of the first training seed."""
+    offsets, nominal_hz = score.cost_offsets(results.groups, results.task), get_suite(results.suite).nominal_hz
+    by_entry = {}
+    for name, runs in results.runs.items():
+        margins, costs = (np.array([row.metrics[key] for row in runs[0]]) for key in ("reserve_margin", "cost"))
+        by_entry[name] = margins, costs + offsets, lost_or_beyond(runs[:1], nominal_hz)[0]
+    return by_entry
+
+
+@style.printed
+def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked: bool = False) -> "Figure":
+    """Draw cost relative to the law that scores 100, and the share of bad runs, over the reserve margin.
+
+    The panels stand side by side, or `stacked` in a single column.
+    """
+    figure = style.new_figure(*((style.SINGLE_COLUMN_MM, 120.0) if stacked else (style.DOUBLE_COLUMN_MM, 70.0)))
+    looks = style.strategy_looks(entries)
+    panels = figure.subplots(*((2, 1) if stacked else (1, 2)))
+    style.letter_panel(panels[0], "a", "(J + J0) over that of the law at 100 [-]")
+    style.letter_panel(panels[1], "b", "runs lost or beyond 0.8 Hz [%]")
+    for name, (margins, costs, bad) in entries.items():
+        ratios, shares, middles = [], [], []
+        for low, high in itertools.pairwise(_EDGES):
+            chosen = (margins >= low) & (margins < high)
+            if chosen.any():
+                middles.append(100.0 * float(margins[chosen].mean()))
+                ratios.append(float(np.exp(np.log(costs[chosen] / entries[hundred][1][chosen]).mean())))
+                shares.append(100.0 * float(bad[chosen].mean()))
+        for axes, values in zip(panels, (ratios, shares), strict=True):
+            axes.plot(middles, values, color=looks[name].colour, linestyle=looks[name].dashes, label=name, marker=".")
+    panels[0].set_yscale("log")
+    largest = max(5.0, panels[0].get_ylim()[1])
+    ticks = [tick for tick in (0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0) if tick <= largest]
+    panels[0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panels[0].minorticks_off()
+    for axes in panels:
+        for edge in (0.0, 10.0):
+            axes.axvline(edge, color="0.8", linewidth=0.8, zorder=0)
+        axes.set_xlabel("reserve margin [% of the load]")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2 if stacked else len(entries)
+    )
+    return figure
 
 
 def _bad_runs(report: Report) -> Section:
@@ -312,11 +326,8 @@ def _plot_scenario(scenario: Scenario, runs: Mapping[str, recording.Recorded]) -
     panels = figure.subplots(len(_PANELS), 1, sharex=True)
     for axes, (label, values) in zip(panels, _PANELS.items(), strict=True):
         for name, run in runs.items():
-            series = values(run)[:, 0]
-            axes.plot(run.time_s, series, color=looks[name].colour, linestyle=looks[name].dashes, label=name)
-            if run.failures[0]:
-                last = int(np.flatnonzero(np.isfinite(series))[-1])
-                trajectories.mark_end(axes, float(run.time_s[last]), float(series[last]), looks[name].colour)
+            series, failed = values(run)[:, 0], bool(run.failures[0])
+            trajectories.draw_run(axes, run.time_s, series, looks[name], failed=failed, label=name)
         trajectories.mark_instants(axes, scenario, numbered=False)
         axes.set_title(label, loc="left")
     panels[-1].set_xlabel("time [s]")

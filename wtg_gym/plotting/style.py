@@ -7,7 +7,7 @@ functions that draw.
 import functools
 import io
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,13 +128,6 @@ def save_figure(figure: "Figure", path_without_suffix: Path, suffixes: Iterable[
     return list(contents)
 
 
-def letter_panel(axes: "Axes", letter: str, text: str = "") -> None:
+def letter_panel(axes: "Axes", letter: str, text: str) -> None:
     """Write "(a) text" above the left end of a panel."""
-    axes.set_title(f"({letter}) {text}".rstrip(), loc="left", pad=10.0)
-
-
-def share_limits(row: "Sequence[Axes]") -> None:
-    """Give panels the same vertical range, wide enough for all."""
-    limits = [axes.get_ylim() for axes in row]
-    for axes in row:
-        axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
+    axes.set_title(f"({letter}) {text}", loc="left", pad=10.0)

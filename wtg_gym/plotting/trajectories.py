@@ -2,7 +2,9 @@
 
 import itertools
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from wtg_gym.envs.rendering.diagram import undone
 from wtg_gym.physics import layout, protection, tracking_law, trajectory
@@ -46,18 +48,17 @@ def plot_trajectories(runs: Mapping[str, trajectory.Trajectory], scenario: Scena
         for axes, (label, values) in zip(grid[:, group], _PANELS.items(), strict=True):
             for name, run in runs.items():
                 width, order = (1.7, 3.5) if name == tracking_law.REFERENCE_STRATEGY else (1.0, 3.0)
-                line = {"label": name, "linewidth": width, "zorder": order, "linestyle": looks[name].dashes}
-                series, colour = values(run)[:, group], looks[name].colour
-                axes.plot(run.time_s, series, color=colour, **line)
-                if run.status != protection.Status.RUNNING:
-                    mark_end(axes, float(run.time_s[-1]), float(series[-1]), colour)
+                failed, line = run.status != protection.Status.RUNNING, {"linewidth": width, "zorder": order}
+                draw_run(axes, run.time_s, values(run)[:, group], looks[name], failed=failed, label=name, **line)
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
             if group == 0:
                 axes.set_ylabel(label)
         grid[3, group].set_xlabel("time [s]")
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     for row in (grid[0], grid[3]):
-        style.share_limits(row)
+        limits = [axes.get_ylim() for axes in row]
+        for axes in row:
+            axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
     statuses = sorted({run.status for run in runs.values()} - {protection.Status.RUNNING})
     if reasons := " or ".join(status.name.lower().replace("_", " ") for status in statuses):
         grid[0, 0].plot([], [], "x", color="0.25", markeredgewidth=1.4, label=reasons)
@@ -103,6 +104,11 @@ def explain_events(figure: "Figure", scenario: Scenario) -> None:
     figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=style.SMALL_PT)
 
 
-def mark_end(axes: "Axes", time_s: float, value: float, colour: str) -> None:
-    """Draw a cross where a run ended before its time."""
-    axes.plot(time_s, value, "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
+def draw_run(
+    axes: "Axes", time_s: layout.Floats, values: layout.Floats, look: style.Look, *, failed: bool, **line: Any
+) -> None:
+    """Draw a run's values (n,) up to the last that is a number, and a cross there if it ended before its time."""
+    n = np.count_nonzero(np.isfinite(values))
+    axes.plot(time_s[:n], values[:n], color=look.colour, linestyle=look.dashes, **line)
+    if failed:
+        axes.plot(time_s[n - 1], values[n - 1], "x", color=look.colour, markersize=5.5, markeredgewidth=1.4, zorder=4)

@@ -86,10 +86,7 @@ class Entry:
         """Return the law of a learner's environment, or the published one."""
         learned = learned_in(self.policy)
         if not learned and hasattr(self.policy, "get_vec_normalize_env"):
-            raise ValueError(
-                f"the policy of entry {self.name!r} is a learner without an environment, as after load(): give the law "
-                "that it learned on, such as strategy='coordinated-tuned'"
-            )
+            raise without_environment(self.name)
         law = learned.get("strategy")
         return law if isinstance(law, TrackingLaw) else REFERENCE_STRATEGY
 
@@ -108,13 +105,17 @@ class Entry:
                 "predict() leaves out; export both with "
                 "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
-        for key, value in learned_in(policy).items():
+        self.check_learned(learned_in(policy))
+
+    def check_learned(self, learned: Mapping[str, Any]) -> None:
+        """Raise a ValueError if the learner of its policy had another law or other modes, see :func:`learned_in`."""
+        for key, value in learned.items():
             entry_value = self.law if key == "strategy" else getattr(self, key)
             if entry_value != value:
                 labels = [law.name if isinstance(law, TrackingLaw) else law for law in (value, entry_value)]
                 raise ValueError(
-                    f"the policy of entry {name!r} learned with {key} {labels[0]!r}, the entry has {labels[1]!r}: "
-                    f"give it the {key} of its training"
+                    f"the policy of entry {self.name!r} learned with {key} {labels[0]!r}, the entry has "
+                    f"{labels[1]!r}: give it the {key} of its training"
                 )
 
     @property
@@ -171,6 +172,14 @@ def learned_in(policy: Any) -> dict[str, Any]:
     laws = [get_law(name) for name in ([strategy] if isinstance(strategy, (str, Path, TrackingLaw)) else strategy)]
     law = laws[0] if all(other == laws[0] for other in laws) else ", ".join(other.name for other in laws)
     return {"strategy": law, "action_mode": settings.action_mode, "observation_mode": settings.observation_mode}
+
+
+def without_environment(name: str) -> ValueError:
+    """Return the error of an entry whose learner was loaded: nothing says which law it learned on."""
+    return ValueError(
+        f"the policy of entry {name!r} is a learner without an environment, as after load(): give the law that it "
+        "learned on, such as strategy='coordinated-tuned'"
+    )
 
 
 def check_entries(entries: Sequence[Entry]) -> None:

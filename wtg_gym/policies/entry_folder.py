@@ -71,11 +71,11 @@ def check_not_built_in(what: str, name: str) -> None:
         )
 
 
-def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
-    """Return the arguments of :class:`Entry` that an entry.toml gives, if `submitted` with the keys of a submission.
+def parse_entry(text: str, *, submitted: bool = False) -> Entry:
+    """Return the entry of an entry.toml, without its policy; if `submitted`, with the keys of a submission.
 
-    Authors are its source. A ValueError names the error and the allowed values in one line, with foreign
-    text escaped to ASCII.
+    Authors are its source. A ValueError names the error and the allowed values in one line, with foreign text escaped
+    to ASCII.
     """
     try:
         data = parse_toml(text, "it")
@@ -107,7 +107,7 @@ def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
     if submitted and _SEED.search(name):
         raise ValueError(f"name must say nothing of seeds, which the table counts; got {short(name)}")
     check_not_built_in("name", name)
-    return {"environment": V1.env_id, **data, "source": source}
+    return Entry(**{"environment": V1.env_id, **data}, source=source)
 
 
 def entry_text(values: Mapping[str, Any]) -> str:
@@ -131,16 +131,11 @@ def load_entry_folder(folder: Path) -> Entry:
 
     Of the keys of a submission it needs name and action_mode. policy.onnx is not looked at before it is played.
     """
-    data = _entry_data(folder)
-    try:
-        # Errors of entry.toml come before the policy is loaded.
-        entry, policy = Entry(**data), OnnxPolicy(folder / POLICY_FILE)
-        return dataclasses.replace(entry, policy=policy, fingerprint=policy.sha256)
-    except ValueError as error:
-        raise ValueError(f"entry {folder}: {error}") from error
+    entry, policy = _described(folder), OnnxPolicy(folder / POLICY_FILE)
+    return dataclasses.replace(entry, policy=policy, fingerprint=policy.sha256)
 
 
-def _entry_data(folder: Path) -> dict[str, Any]:
+def _described(folder: Path) -> Entry:
     text = read_text(folder / ENTRY_FILE, "entry file")
     with interpreting(folder / ENTRY_FILE, "entry file"):
         return parse_entry(text)
@@ -154,7 +149,7 @@ def policy_folders() -> list[Path]:
 def policy_name(folder: Path) -> str | None:
     """Return the name of the entry in a folder; None if its entry.toml is wrong, loading the folder says why."""
     try:
-        return str(_entry_data(folder)["name"])
+        return _described(folder).name
     except ValueError:
         return None
 
@@ -162,7 +157,7 @@ def policy_name(folder: Path) -> str | None:
 def parse_submission(content: bytes) -> Entry:
     """Return a submission's entry.toml as an entry without its policy; a ValueError says what is wrong and allowed."""
     try:
-        return Entry(**parse_entry(content.decode("utf-8"), submitted=True))
+        return parse_entry(content.decode("utf-8"), submitted=True)
     except UnicodeDecodeError as error:
         raise ValueError(f"it is not TOML in UTF-8: {error}") from error
 

@@ -1,7 +1,6 @@
 """The gate of submissions: every check of a folder, up to the first that it does not pass, and of several together."""
 
 import collections
-import contextlib
 import dataclasses
 import itertools
 import time
@@ -49,7 +48,7 @@ class Report:
 
     folder: Path
     made: list[Check] = field(default_factory=list)  # the checks up to the first that it does not pass
-    entry: Entry | None = None  # None where entry.toml was not read
+    entry: Entry | None = None  # with the policy, to be played as it was checked; None where entry.toml was not read
     content: bytes = b""  # policy.onnx as it was checked; empty where it was not read
     notes: tuple[str, ...] = ()  # what this system could not isolate
     shipped: bool = False  # whether the package has the same folder among its policies
@@ -74,12 +73,6 @@ class Report:
         """Return that of policy.onnx; None where it was not read."""
         return sha256(self.content) if self.content else None
 
-    def played(self, *, weak: bool = False) -> Entry:
-        """Return an accepted submission as an entry; `weak` is as for :func:`check_submission`."""
-        assert self.accepted and self.entry is not None
-        policy = OnnxPolicy(self.content, isolated=not weak)
-        return dataclasses.replace(self.entry, policy=policy, fingerprint=policy.sha256)
-
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON-ready data."""
         return {
@@ -91,45 +84,10 @@ class Report:
             "not_isolated": list(self.notes),
         }
 
-    def passed(self, reason: str) -> None:
-        """Note that the next check was passed."""
-        self.made.append(Check(CHECKS[len(self.made)], PASSED, reason))
-
-    @contextlib.contextmanager
-    def refusing(self) -> Iterator[None]:
-        """Note a ValueError as the reason why the next check was not passed."""
-        try:
-            yield
-        except NotIsolatedError:
-            raise
-        except ValueError as error:
-            self.made.append(Check(CHECKS[len(self.made)], REFUSED, str(error)))
-
 
 def read_submission(folder: Path) -> Report:
     """Return the gate's report on the files of a folder and its entry.toml; its policy is not played."""
-    report = Report(folder)
-    with report.refusing():
-        files = entry_folder.read_files(folder)
-        name = folder.resolve().name
-        others = entry_folder.policy_folders()
-        submitted = {file: files[file] for file in (entry_folder.ENTRY_FILE, entry_folder.POLICY_FILE)}
-        report.shipped = any(
-            other.name == name and {file: (other / file).read_bytes() for file in submitted} == submitted
-            for other in others
-        )
-        if report.shipped:
-            # Itself, and the seeds of its row.
-            others = [other for other in others if entry_folder.policy_name(other) != entry_folder.policy_name(folder)]
-        _check_not_found("the folder's name", name, others)
-        report.content = files[entry_folder.POLICY_FILE]
-        report.passed(", ".join(f"{name} {len(data)} bytes" for name, data in files.items()))
-        entry = entry_folder.parse_submission(files[entry_folder.ENTRY_FILE])
-        policy = OnnxPolicy(report.content, isolated=True)
-        report.entry = dataclasses.replace(entry, policy=policy, fingerprint=policy.sha256)
-        _check_not_found("name", entry.name, others)
-        report.passed(f"{entry.label}, {entry.action_mode}, {entry.observation_mode}")
-    return report
+    return _checked(folder, CHECKS[:2], weak=False)
 
 
 def check_submission(folder: Path, *, weak: bool = False) -> Report:
@@ -137,26 +95,59 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
 
     Where this system cannot isolate that process, it is a NotIsolatedError; with `weak` it goes on all the same.
     """
-    report = read_submission(folder)
-    if not report.accepted:
-        return report
-    entry = report.played(weak=weak)
-    assert isinstance(entry.policy, OnnxPolicy)
-    with report.refusing():
-        with entry.policy as policy:
-            report.notes = policy.not_isolated
-            seen, acts, *states = policy.widths
-            if (seen, acts) != (wanted := widths(entry)):
-                modes = f"in its modes there are {wanted[0]} and {wanted[1]}"
-                raise ValueError(f"it takes {seen} observations and gives {acts} actions; {modes}")
-            report.passed(f"onnxruntime runs it, {seen} observations, {acts} actions, states {states}")
-            report.passed(check_speed(policy))
-        actions = rollout(entry)
-        report.passed(f"{_ROLLOUT_LANES} scenarios of the validation split, up to {len(actions)} steps")
-        if not np.array_equal(actions, rollout(entry, backwards=True)):
-            raise ValueError("the same scenarios in another order, in another process, give other actions")
-        report.passed("the same actions to the last bit, in another order")
+    return _checked(folder, CHECKS, weak=weak)
+
+
+def _checked(folder: Path, checks: Sequence[str], *, weak: bool) -> Report:
+    """Make the first so many checks, up to one that is not passed."""
+    report = Report(folder)
+    findings = _findings(report, weak=weak)
+    for name in checks:
+        try:
+            report.made.append(Check(name, PASSED, next(findings)))
+        except NotIsolatedError:
+            raise
+        except ValueError as error:
+            report.made.append(Check(name, REFUSED, str(error)))
+            break
     return report
+
+
+def _findings(report: Report, *, weak: bool) -> Iterator[str]:
+    """Yield what each of the :data:`CHECKS` finds; the ValueError of one is the reason why it is not passed."""
+    files = entry_folder.read_files(report.folder)
+    name = report.folder.resolve().name
+    others = entry_folder.policy_folders()
+    submitted = {file: files[file] for file in (entry_folder.ENTRY_FILE, entry_folder.POLICY_FILE)}
+    report.shipped = any(
+        other.name == name and {file: (other / file).read_bytes() for file in submitted} == submitted
+        for other in others
+    )
+    if report.shipped:
+        # Itself, and the seeds of its row.
+        own = entry_folder.policy_name(report.folder)
+        others = [other for other in others if entry_folder.policy_name(other) != own]
+    _check_not_found("the folder's name", name, others)
+    report.content = files[entry_folder.POLICY_FILE]
+    yield ", ".join(f"{file} {len(data)} bytes" for file, data in files.items())
+    entry = entry_folder.parse_submission(files[entry_folder.ENTRY_FILE])
+    policy = OnnxPolicy(report.content, isolated=not weak)
+    report.entry = entry = dataclasses.replace(entry, policy=policy, fingerprint=policy.sha256)
+    _check_not_found("name", entry.name, others)
+    yield f"{entry.label}, {entry.action_mode}, {entry.observation_mode}"
+    with policy:
+        report.notes = policy.not_isolated
+        seen, acts, *states = policy.widths
+        if (seen, acts) != (wanted := widths(entry)):
+            modes = f"in its modes there are {wanted[0]} and {wanted[1]}"
+            raise ValueError(f"it takes {seen} observations and gives {acts} actions; {modes}")
+        yield f"onnxruntime runs it, {seen} observations, {acts} actions, states {states}"
+        yield check_speed(policy)
+    actions = rollout(entry)
+    yield f"{_ROLLOUT_LANES} scenarios of the validation split, up to {len(actions)} steps"
+    if not np.array_equal(actions, rollout(entry, backwards=True)):
+        raise ValueError("the same scenarios in another order, in another process, give other actions")
+    yield "the same actions to the last bit, in another order"
 
 
 def _check_not_found(what: str, name: str, folders: Sequence[Path]) -> None:

@@ -215,7 +215,10 @@ _ALLOWED = (
 )
 _READ, _WRITE, _MMAP = (0, 63), (1, 64), (9, 222)
 _MAP_ANONYMOUS = 0x20
-#: Classic BPF: load a word of the call's description, compare it, test its bits, return a verdict.
+#: An instruction of classic BPF, code, lines to skip if true, if false, and value; and a program, their number and
+#: address.
+_INSTRUCTION, _PROGRAM = struct.Struct("=HBBI"), struct.Struct("HP")
+#: Codes: load a word of the call's description, compare it, test its bits, return a verdict.
 _LOAD, _EQUAL, _ANY_BIT, _RETURN = 0x20, 0x15, 0x45, 0x06
 #: Where the call's number, the kind of processor, and the lower halves of its first and fourth argument stand.
 _NUMBER, _MACHINE, _FIRST, _FOURTH = 0, 4, 16, 40
@@ -227,14 +230,6 @@ _SPECULATION = 4
 _PR_SET_NO_NEW_PRIVS = 38
 
 
-class _Instruction(ctypes.Structure):
-    _fields_ = (("code", ctypes.c_uint16), ("yes", ctypes.c_uint8), ("no", ctypes.c_uint8), ("value", ctypes.c_uint32))
-
-
-class _Program(ctypes.Structure):
-    _fields_ = (("length", ctypes.c_uint16), ("instructions", ctypes.POINTER(_Instruction)))
-
-
 def lock(source: int, sink: int) -> str:
     """Take from this process all but computing, reading `source` and writing `sink`; return what is not enforced."""
     machine = os.uname().machine if sys.platform == "linux" else sys.platform
@@ -242,20 +237,20 @@ def lock(source: int, sink: int) -> str:
         return f"no filter of system calls: there is none for {machine}"
     column = list(_MACHINES).index(machine)
     machine_id, seccomp = _MACHINES[machine]
-    lines = _filter(machine_id, column, source, sink)
-    instructions = (_Instruction * len(lines))(*(_Instruction(*line) for line in lines))
-    program = _Program(len(lines), instructions)
+    lines = [_INSTRUCTION.pack(*line) for line in _filter(machine_id, column, source, sink)]
+    instructions = ctypes.create_string_buffer(b"".join(lines))
+    program = _PROGRAM.pack(len(lines), ctypes.addressof(instructions))
     libc = ctypes.CDLL(None, use_errno=True)
     # Without it only root may set a filter; no program can give the process more rights any more.
     libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
     flags = _ALL_THREADS | _SPECULATION
-    if libc.syscall(seccomp, _SET_MODE_FILTER, flags, ctypes.byref(program)) != 0:
+    if libc.syscall(seccomp, _SET_MODE_FILTER, flags, program) != 0:
         return f"no filter of system calls: the kernel refuses it ({os.strerror(ctypes.get_errno())})"
     return ""
 
 
 def _filter(machine_id: int, column: int, source: int, sink: int) -> list[tuple[int, int, int, int]]:
-    """Return the filter as instructions (code, lines to skip if true, if false, value)."""
+    """Return the filter as the values of :data:`_INSTRUCTION`."""
     lines = [(_LOAD, 0, 0, _MACHINE), (_EQUAL, 1, 0, machine_id), (_RETURN, 0, 0, _KILL), (_LOAD, 0, 0, _NUMBER)]
     # Memory only, never a file seen as memory.
     for numbers, argument, test, value in (

@@ -201,11 +201,8 @@ class PolicyProcess:
         if "widths" not in message:
             raise PolicyError(f"onnxruntime cannot load the policy: {_plain(message.get('error'))}")
         widths = message["widths"]
-        if (
-            not isinstance(widths, list)
-            or not 2 <= len(widths) <= 2 + MOST_STATES
-            or not all(type(width) is int and 1 <= width <= WIDEST for width in widths)
-        ):
+        fits = isinstance(widths, list) and 2 <= len(widths) <= 2 + MOST_STATES
+        if not fits or not all(type(width) is int and 1 <= width <= WIDEST for width in widths):
             raise PolicyError(
                 f"a policy may have up to {MOST_STATES} states, and each of its inputs and outputs 1 … {WIDEST} values"
             )

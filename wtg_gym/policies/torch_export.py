@@ -9,7 +9,8 @@ import numpy as np
 
 from wtg_gym.extras import install_advice
 from wtg_gym.files import write_together
-from wtg_gym.physics.tracking_law import STRATEGY_NAMES, TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
+from wtg_gym.policies.entry import without_environment
 from wtg_gym.policies.entry_folder import ENTRY_FILE, FILES, POLICY_FILE, entry_text, parse_submission
 from wtg_gym.policies.gate import widths
 from wtg_gym.policies.policy_process import OnnxPolicy, PolicyError
@@ -58,28 +59,21 @@ def export_onnx(
     """
     if not isinstance(module, nn.Module):
         raise ValueError(f"export_onnx() takes a torch.nn.Module, got {type(module).__name__}")
-    if (learned := getattr(module, "learned_in", None)) is not None:
-        entry = _of_training(learned, entry)
+    learned: dict[str, Any] | None = getattr(module, "learned_in", None)
+    if learned == {} and "strategy" not in entry:
+        raise without_environment(name)
+    of_training = {key: getattr(value, "name", value) for key, value in (learned or {}).items()}
+    law = of_training.get("strategy")
+    if learned and (law not in STRATEGY_NAMES or get_law(law) != learned["strategy"]):
+        raise ValueError(f"a folder's strategy is a built-in one, the learner's was {law!r}: play it by Entry()")
     defaults = {"environment": "GFMWTG-14bus-v1", "action_mode": "k+tau", "training_seed": 0, "authors": ["unnamed"]}
-    text = entry_text({"name": name, **defaults, **entry})
-    content = onnx_bytes(module, *widths(parse_submission(text.encode())), tolerance=tolerance)
+    text = entry_text({"name": name, **defaults, **of_training, **entry})
+    described = parse_submission(text.encode())
+    described.check_learned(learned or {})
+    content = onnx_bytes(module, *widths(described), tolerance=tolerance)
     # entry.toml last, because it makes the folder an entry.
     write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
     return Path(folder)
-
-
-def _of_training(learned: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of entry.toml with the law and the modes that a learner had; a ValueError if others are given."""
-    if not learned and "strategy" not in entry:
-        raise ValueError("the learner has no environment that says what it learned on: give its strategy and modes")
-    made = dict(entry)
-    for key, value in learned.items():
-        name = value.name if isinstance(value, TrackingLaw) else value
-        if key == "strategy" and (name not in STRATEGY_NAMES or get_law(name) != value):
-            raise ValueError(f"a folder's strategy is a built-in one, the learner's was {name!r}: play it by Entry()")
-        if made.setdefault(key, name) != name:
-            raise ValueError(f"the learner had {key} {name!r}, got {entry[key]!r}")
-    return made
 
 
 def onnx_bytes(module: nn.Module, n_observation: int, n_action: int, *, tolerance: float = 1e-5) -> bytes:
