@@ -95,11 +95,7 @@ def without_foresight(scenario: Scenario, time_s: float, longer_s: float) -> Sce
 
 
 class Futures:
-    """Draws how scenarios may go on: as other training scenarios do.
-
-    Args:
-        lanes: with the settings of the environment.
-    """
+    """Draws how scenarios of an environment may go on: as other training scenarios do."""
 
     def __init__(self, lanes: TaskLanes) -> None:
         self._lanes, suite = lanes, lanes.suite
@@ -130,14 +126,7 @@ class Futures:
 
 
 class Planner:
-    """Plans for episodes side by side.
-
-    Args:
-        settings: of the environment.
-        n_lanes: number of episodes.
-        options: how it plans.
-        n_threads: threads to step with; None for one per processor.
-    """
+    """Plans for episodes of an environment side by side, on `n_threads`, None for one per processor."""
 
     def __init__(
         self,
@@ -255,14 +244,10 @@ def drive(
     driver: Callable[[Floats], Floats] = lambda plan: plan,
     on_progress: Callable[[int, int], None] = lambda done, n: None,
 ) -> Floats:
-    """Play episodes and return the actions that were taken (n_steps, n_lanes, n_action).
+    """Play a scenario in each of the lanes, and return the actions that were taken (n_steps, n_lanes, n_action).
 
-    Args:
-        planner: plans from where the episodes are.
-        lanes: of as many episodes, with the planner's settings.
-        scenarios: one per episode.
-        driver: returns the actions to take, (n_lanes, n_action) like the plan that it gets.
-        on_progress: called with the steps done, and all.
+    The driver returns those of a step (n_lanes, n_action), like the plan that it gets. `on_progress` is called with the
+    steps done, and all.
     """
     planner.start(scenarios)
     lanes.start(range(lanes.n_lanes), scenarios)
