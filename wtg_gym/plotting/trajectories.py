@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from wtg_gym.envs.rendering.diagram import undone
+from wtg_gym.envs.rendering import undone
 from wtg_gym.physics import layout, protection, tracking_law, trajectory
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.plotting import style
