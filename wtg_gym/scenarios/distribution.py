@@ -205,7 +205,7 @@ def _series(
     of_noise = wind.noise_amplitude(noise.correlation_s, n_period)
     for draft in drafts:
         for mean, n_turbines in zip(draft.mean_winds_m_s, draft.n_turbines, strict=True):
-            units.append(wind.turbulence_amplitude(mean, n_turbines, n_period))
+            units.append(wind.turbulence_amplitude(round(10.0 * mean), n_turbines, n_period))
             sigmas.append(wind.ntm_sigma(mean, draft.turbulence_intensity))
         units.append(of_noise)
         sigmas.append(noise.standard_deviation_mw)

@@ -46,7 +46,6 @@ class Picker:
         return low + (high - low) * self.uniform()
 
     def chance(self, probability: float) -> bool:
-        """Return True with a probability."""
         return self.uniform() < probability
 
     def whole(self, low: int, high: int) -> int:
@@ -54,7 +53,6 @@ class Picker:
         return low + int((high - low + 1) * self.uniform())
 
     def choice(self, options: Sequence[T]) -> T:
-        """Return one of the options."""
         return options[self.whole(0, len(options) - 1)]
 
     def instant(self, window: Span) -> float:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.physics.grid import DEFAULT_GRID
-from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import did_you_mean, is_whole, require_whole
@@ -180,7 +180,12 @@ class Suite:
         duration = self.duration_s if duration_s is None else duration_s
         if n_wtg is None:
             n_wtg = len(self.plant.groups)
-            n_turbines = [_default_turbines(group) for group in self.plant.groups] if n_turbines is None else n_turbines
+            if n_turbines is None:
+                # As many of the default turbines as give what a group's own do.
+                rated_mw, groups = TurbineParameters().rated_power_mw, self.plant.groups
+                n_turbines = [
+                    g.n_turbines * (g.turbine.rated_power_mw / rated_mw if g.turbine else 1.0) for g in groups
+                ]
         if self.drawn_from:
             if plant is None and n_wtg != len(self.plant.groups):
                 plant = self.plant.replaced(groups=n_wtg)
@@ -280,12 +285,6 @@ class Suite:
 
 def _with(scenario: Scenario, **values: Any) -> Scenario:
     return trusted(Scenario, **{**vars(scenario), **values})
-
-
-def _default_turbines(group: WtgGroup) -> float:
-    """Return how many of the default turbines give what a group's own do."""
-    ratio = group.turbine.rated_power_mw / TurbineParameters().rated_power_mw if group.turbine else 1.0
-    return group.n_turbines * ratio
 
 
 def _decimal(value: float) -> str:
