@@ -180,7 +180,7 @@ class ScenarioDistribution(Checked):
             latest = min(latest, self.last_event_s)
         draft = draws.Draft(
             n_turbines=n_turbines,
-            case_load_mw=self._grid_data.case.load_mw,
+            load_mw=self._grid_data.case.load_mw,
             window=(min(self.first_event_s, latest), latest),
             n_samples=math.ceil(round(duration_s / scenario.SERIES_DT, 6)) + 1,
         )
