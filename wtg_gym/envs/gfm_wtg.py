@@ -97,10 +97,10 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         """
         checked = interface.check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        scenario = None
+        episodes = None
         if "scenario" in checked:
             scenario = self._lanes.scenario_of('options["scenario"]', checked["scenario"])
-        episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
+            episodes = self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
         self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)
         if self._frames is not None:

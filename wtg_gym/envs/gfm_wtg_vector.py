@@ -158,13 +158,13 @@ class GFMWTGVectorEnv(
         checked = interface.check_options(options, ("reset_mask", "scenarios"))
         mask = self._reset_mask(checked.get("reset_mask"))
         seeds = self._lane_seeds(seed)
-        scenarios = self._scenarios(checked["scenarios"]) if "scenarios" in checked else None
         lanes = np.flatnonzero(mask).tolist()
-        generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
         # Given scenarios that cannot start are refused before the first change.
         episodes = None
-        if scenarios is not None:
+        if "scenarios" in checked:
+            scenarios = self._scenarios(checked["scenarios"])
             episodes = self._lanes.prepare([scenarios[lane] for lane in lanes], turning=True)
+        generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
         self._next.reseed(generators)
         if episodes is None:
             self._next.start(lanes)
@@ -216,7 +216,7 @@ class GFMWTGVectorEnv(
         thread is in this object.
         """
         waiting = np.logical_or(*self._lanes.ended())
-        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
+        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._lanes.started):
             raise RuntimeError(
                 f"lanes {np.flatnonzero(waiting).tolist()} are over or were never started; call reset() before step()"
             )
@@ -249,9 +249,6 @@ class GFMWTGVectorEnv(
             self._frames.sample()
         infos.update(self._infos(self._all_lanes))
         return self._lanes.observations.copy(), rewards, terminated, truncated, infos
-
-    def _started(self) -> bool:
-        return bool((self._lanes.task_values("end_step") > 0.0).all())
 
     def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """Every key of `info` as an array, and as `_key` the lanes that it holds for: one array for all keys."""

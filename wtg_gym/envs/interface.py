@@ -141,7 +141,7 @@ class OverLanes:
             )
         if spec is not None and spec.max_episode_steps is None:
             # Empty because the environment is registered without a time limit: it ends episodes itself.
-            n_steps = round(self._lanes.duration_s / self.settings.step_s)
+            n_steps = self._lanes.n_steps_of_episode
             spec = dataclasses.replace(spec, max_episode_steps=min(self._step_limit or n_steps, n_steps))
         self._spec = spec
 

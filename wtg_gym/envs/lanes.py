@@ -130,6 +130,11 @@ class TaskLanes:
         """Simulation steps of a control step."""
         return self.settings.n_intervals * self.simulator.plant.network.facts.n_substeps
 
+    @property
+    def started(self) -> bool:
+        """Whether every lane has been started."""
+        return bool((self.task_values("end_step") > 0.0).all())
+
     @cached_property
     def _of_episodes(self) -> dict[str, Any]:
         """Settings that a running episode depends on; where its scenario was drawn from is none of them."""

@@ -7,6 +7,7 @@ that frames are made of. Needs matplotlib, and a window pygame too; both are imp
 import functools
 import math
 from collections.abc import Collection, Mapping, Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -58,6 +59,15 @@ _TEXTS: tuple[tuple[float, float, dict[str, Any]], ...] = (
 )
 
 
+def _needed(module: str, what: str) -> Any:
+    """Import a module of the `render` extra; a DependencyNotInstalled says what needs it."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        name = module.partition(".")[0]
+        raise DependencyNotInstalled(f"{what} needs {name}; {install_advice('render')}") from error
+
+
 def group_colour(group: int) -> str:
     """Return the colour of a WTG group."""
     return GROUPS[group % len(GROUPS)]
@@ -68,10 +78,7 @@ def bus_places(case: NetworkCase) -> Mapping[int, tuple[float, float]]:
     """Return where the buses are drawn, by their numbers: as the case says, or laid out so that no lines are long."""
     placed = {bus.number: (bus.x, bus.y) for bus in case.buses if bus.x is not None and bus.y is not None}
     if len(placed) < len(case.buses):
-        try:
-            import networkx
-        except ImportError as error:
-            raise DependencyNotInstalled(f"this grid's places need networkx; {install_advice('render')}") from error
+        networkx = _needed("networkx", "the layout of this grid")
         placed = networkx.kamada_kawai_layout(networkx.Graph((b.from_bus, b.to_bus) for b in case.branches))
     points = np.array([placed[bus.number] for bus in case.buses], dtype=np.float64)
     low, span = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-9)
@@ -194,11 +201,7 @@ class FramePainter:
     """Draws the frames of one episode after the other; a DependencyNotInstalled if matplotlib is missing."""
 
     def __init__(self) -> None:
-        try:
-            import matplotlib.style
-        except ImportError as error:
-            raise DependencyNotInstalled(f"rendering needs matplotlib; {install_advice('render')}") from error
-        self._style: Any = matplotlib.style.context
+        self._style = _needed("matplotlib.style", "rendering").context
         self._kept: tuple[Scene, list[Range]] | None = None
 
     def __reduce__(self) -> Any:
@@ -291,12 +294,8 @@ class Window:
     """
 
     def __init__(self, title: str, fps: int) -> None:
-        try:
-            import pygame
-        except ImportError as error:
-            raise DependencyNotInstalled(f'render_mode="human" needs pygame; {install_advice("render")}') from error
-        self._pygame, self._title, self._fps = pygame, title, fps
-        self._clock = pygame.time.Clock()
+        self._pygame, self._title, self._fps = _needed("pygame", 'render_mode="human"'), title, fps
+        self._clock = self._pygame.time.Clock()
         self._surface: Any = None
         #: Whether the window was closed, by its user or by :meth:`close`.
         self.is_closed = False
@@ -371,7 +370,7 @@ class LaneFrames:
 
     def paint(self) -> tuple[Frame, ...]:
         """Return the frame of every lane; a RuntimeError if an episode was never started."""
-        if not (self._lanes.task_values("end_step") > 0.0).all():
+        if not self._lanes.started:
             raise RuntimeError("there is no episode to render; call reset() before render()")
         return tuple(self._paint(lane, painter) for lane, painter in enumerate(self._painters))
 
