@@ -251,10 +251,8 @@ _MARGIN, _LEAST_MVA = 1.3, 50.0
 #: A large round-rotor machine; source: P. Kundur: Power System Stability and Control, table 4.2.
 _REACTANCES = dict(x_d=1.8, x_q=1.7, x_d_transient=0.3, x_q_transient=0.55, x_subtransient=0.25, x_leakage=0.15)
 _TIMES = dict(t_d0_transient_s=8.0, t_q0_transient_s=0.4, t_d0_subtransient_s=0.03, t_q0_subtransient_s=0.05)
-TYPICAL_EXCITER, TYPICAL_GOVERNOR = (
-    machine_parameters.ExciterParameters(),
-    machine_parameters.GovernorParameters(droop_pu=0.05),
-)
+TYPICAL_EXCITER = machine_parameters.ExciterParameters()
+TYPICAL_GOVERNOR = machine_parameters.GovernorParameters(droop_pu=0.05)
 
 
 def typical_machine(
