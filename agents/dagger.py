@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import torch
 from cyclopts import Parameter
-from torch import Tensor, nn
+from torch import Tensor
 
 from agents import run as runs
 from agents.gradient import GradientPolicy, descend
@@ -29,33 +28,25 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import design
 
-_STATE = "state.pt"
 #: Correlation time of the noise of the first round [s].
 _NOISE_S = 10.0
 _MAX_GRAD_NORM = 1.0
 
 
-@Parameter(name="*")
+@runs.options
 @dataclass(frozen=True)
 class Hyperparameters(PlannerOptions):
     """Those of the policy and its fits, and how the planner plans."""
 
-    lstm: Whole = design(64, "-", "", 1, 10_000)
-    """width of the policy's LSTM"""
+    lstm: Whole = design(64, "-", "width of the policy's LSTM", 1, 10_000)
     hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = design(
-        (64,), "-", "", 1, 10_000
+        (64,), "-", "widths of the layers behind it, or none", 1, 10_000
     )
-    """widths of the layers behind it, or none"""
-    updates: Whole = design(150, "-", "", 1, 1_000_000)
-    """of a fit"""
-    batch: Whole = design(40, "-", "", 1, 100_000)
-    """episodes of an update"""
-    learning_rate: float = design(3e-3, "-", "", 0.0, 10.0)
-    """of Adam at the start of a fit"""
-    last_rate: float = design(0.17, "-", "", 0.0, 1.0)
-    """of the learning rate, at the end of a fit"""
-    noise: float = design(0.15, "-", "", 0.0, 1.0)
-    """standard deviation of the noise on the actions of the first round"""
+    updates: Whole = design(150, "-", "of a fit", 1, 1_000_000)
+    batch: Whole = design(40, "-", "episodes of an update", 1, 100_000)
+    learning_rate: float = design(3e-3, "-", "of Adam at the start of a fit", 0.0, 10.0)
+    last_rate: float = design(0.17, "-", "of the learning rate, at the end of a fit", 0.0, 1.0)
+    noise: float = design(0.15, "-", "standard deviation of the noise on the actions of the first round", 0.0, 1.0)
 
 
 class Plans:
@@ -71,6 +62,12 @@ class Plans:
         for kept, steps in ((self.observations, observations), (self.actions, actions), (self.counts, counts)):
             kept.append(torch.from_numpy(np.stack(steps).astype(np.float32)))
 
+    def state_dict(self) -> dict[str, list[Tensor]]:
+        return vars(self)
+
+    def load_state_dict(self, state: Mapping[str, list[Tensor]]) -> None:
+        vars(self).update(state)
+
     def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """Return some episodes of all rounds, drawn with replacement, as many of one round as of another."""
         rounds = zip(self.observations, self.actions, self.counts, strict=True)
@@ -80,23 +77,12 @@ class Plans:
         return observations, actions, counts
 
 
-class DaggerLearner:
+class DaggerLearner(runs.SavedParts):
     """A policy and the plans that it is fitted to."""
 
     def __init__(self, policy: GradientPolicy) -> None:
-        self.policy, self.plans = policy, Plans()
-
-    def network(self, _settings: RunSettings) -> nn.Module:
-        return self.policy
-
-    def save(self, folder: Path) -> None:
-        torch.save({"policy": self.policy.state_dict(), "plans": vars(self.plans)}, folder / _STATE)
-
-    def load(self, folder: Path) -> None:
-        with runs.loading(folder) as folder:
-            state = torch.load(folder / _STATE, weights_only=True)
-            self.policy.load_state_dict(state["policy"])
-            vars(self.plans).update(state["plans"])
+        self.policy, self.network, self.plans = policy, policy, Plans()
+        self.parts = {"policy": policy, "plans": self.plans}
 
     def fit(self, h: Hyperparameters, rng: np.random.Generator) -> float:
         """Fit the policy to all plans, and return the mean square of what is left in the last update."""

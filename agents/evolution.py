@@ -44,27 +44,21 @@ _LOW_COLUMNS = [0, 3]
 _LOW = [LOW_FREQUENCY_HZ / FREQUENCY_UNIT_HZ, (LOW_ROTOR_PU - 1.0) / ROTOR_SPEED_UNIT_PU]
 
 
-@Parameter(name="*")
+@runs.options
 @dataclass(frozen=True)
 class Hyperparameters(Checked):
     """Hyperparameters; the first generations search the direct weights alone, which are few."""
 
-    hidden: Whole = design(6, "-", "", 0, 1000)
-    """tanh units, or 0 for a linear policy"""
-    population: Whole = design(20, "-", "", 4, 10_000)
-    """candidates of a generation"""
-    first_share: float = design(0.4, "-", "", 0.0, 1.0)
-    """of the generations, for the direct weights alone"""
-    first_spread: float = design(0.15, "-", "", 1e-6, 100.0)
-    """standard deviation of the first candidates' direct weights"""
-    spread: float = design(0.03, "-", "", 1e-6, 100.0)
-    """standard deviation of all weights, when they are searched first"""
-    mean_weight: float = design(0.0, "-", "", 0.0, 100.0)
-    """weight of J / J0 beside ln(J + J0)"""
-    mark_weight: float = design(1.0, "-", "", 0.0, 100.0)
-    """weight of the share of runs with the grid lost or beyond 0.8 Hz"""
-    history: Annotated[bool, Parameter(negative="--own-only")] = True
-    """a group sees slow copies and the mean frequency too, or its present observation alone"""
+    hidden: Whole = design(6, "-", "tanh units, or 0 for a linear policy", 0, 1000)
+    population: Whole = design(20, "-", "candidates of a generation", 4, 10_000)
+    first_share: float = design(0.4, "-", "of the generations, for the direct weights alone", 0.0, 1.0)
+    first_spread: float = design(0.15, "-", "standard deviation of the first candidates' direct weights", 1e-6, 100.0)
+    spread: float = design(0.03, "-", "standard deviation of all weights, when they are searched first", 1e-6, 100.0)
+    mean_weight: float = design(0.0, "-", "weight of J / J0 beside ln(J + J0)", 0.0, 100.0)
+    mark_weight: float = design(1.0, "-", "weight of the share of runs with the grid lost or beyond 0.8 Hz", 0.0, 100.0)
+    history: Annotated[bool, Parameter(negative="--own-only")] = design(
+        True, "-", "a group sees slow copies and the mean frequency too, or its present observation alone"
+    )
 
 
 class GroupPolicy(nn.Module):
@@ -136,7 +130,6 @@ class Population:
     def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int, h: Hyperparameters) -> None:
         self.lanes = TaskLanes(replace(settings, reward="cost"), n_scenarios * n_candidates)
         self._shape, self._h = (n_candidates, n_scenarios), h
-        self.n_steps = round(settings.episode_duration_s() / settings.step_s)
 
     def objectives(self, policy: GroupPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
         """Return what each candidate (n_candidates, n_parameters) should lower, mean over the scenarios."""
@@ -147,7 +140,7 @@ class Population:
         weights = torch.from_numpy(candidates).float()
         states = [torch.zeros(n, n_scenarios, width) for width in policy.state_widths]
         with torch.no_grad():
-            for _ in range(self.n_steps):
+            for _ in range(lanes.n_steps_of_episode):
                 seen = torch.from_numpy(lanes.observations).reshape(n, n_scenarios, -1)
                 actions, *states = policy.act(weights, seen, *states)
                 clipped = actions.reshape(lanes.n_lanes, -1).clamp(-1.0, 1.0)
@@ -205,7 +198,7 @@ class EvolutionLearner:
         policy.weights.copy_(torch.from_numpy(self.average))
         self.begin(policy.direct, h.first_spread)
         #: What is exported: where a group sees nothing of the others, the policy of one.
-        self.exported = policy if h.history else policy.of_one()
+        self.network = policy if h.history else policy.of_one()
 
     def begin(self, places: npt.NDArray[np.int64], spread: float) -> None:
         """Begin a search of the weights at some places."""
@@ -224,9 +217,6 @@ class EvolutionLearner:
         self.weights[self.places] = self.search.mean
         self.average += (self.weights - self.average) / _AVERAGED
         self.policy.weights.copy_(torch.from_numpy(self.average))
-
-    def network(self, _settings: RunSettings) -> nn.Module:
-        return self.exported
 
     def save(self, folder: Path) -> None:
         (folder / _STATE).write_bytes(pickle.dumps((self.weights, self.average, self.places, self.search)))
@@ -255,7 +245,7 @@ def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
         learner.tell(candidates, objectives)
         return float(objectives.mean())
 
-    return runs.Rounds(learner, lanes, population.n_steps * settings.n_envs * h.population, learn)
+    return runs.Rounds(learner, lanes, lanes.n_steps_of_episode * settings.n_envs * h.population, learn)
 
 
 main = runs.main_in_rounds(

@@ -11,8 +11,7 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -30,7 +29,6 @@ from wtg_gym.ranges import Checked, design
 from wtg_gym.scenarios import Suite
 from wtg_gym.tasks.cost import CostTerms
 
-_STATE = "state.pt"
 _FAILURE = CostTerms._fields.index("failure")
 #: How gradually a failure comes, in rotor speed and in frequency [p.u.].
 ROTOR_SPREAD_PU, FREQUENCY_SPREAD_PU = 0.02, 0.001
@@ -43,31 +41,24 @@ MAX_ACTION_GRADIENT = 0.03
 STRAY_WEIGHT = 5.0
 
 
-@Parameter(name="*")
+@runs.options
 @dataclass(frozen=True)
 class Hyperparameters(Checked):
     """Hyperparameters; the learning rate falls along half a cosine to `last_rate` of it."""
 
     hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = design(
-        (64, 64), "-", "", 1, 10_000
+        (64, 64), "-", "widths of the hidden layers, or none", 1, 10_000
     )
-    """widths of the hidden layers, or none"""
-    lstm: Whole = design(0, "-", "", 0, 10_000)
-    """width of an LSTM in front of the layers; 0: none"""
-    learning_rate: float = design(1e-2, "-", "", 0.0, 10.0)
-    """of Adam at the start"""
-    last_rate: float = design(0.05, "-", "", 0.0, 1.0)
-    """of the learning rate, at the end"""
-    betas: Annotated[tuple[float, float], Parameter(negative="")] = design((0.9, 0.99), "-", "", 0.0, 1.0)
-    """of Adam"""
-    max_grad_norm: float = design(1.0, "-", "", 0.0, 1e6)
-    """largest norm of a gradient"""
-    mean_weight: float = design(0.0, "-", "", 0.0, 100.0)
-    """weight of J / J0 in the loss, beside ln(J + J0)"""
-    averaged: Whole = design(30, "-", "", 1, 100_000)
-    """updates over which the weights that are validated and exported are averaged, exponentially"""
-    per_group: Annotated[bool, Parameter(negative="")] = False
-    """the policy sees one group at a time, and plays any grid"""
+    lstm: Whole = design(0, "-", "width of an LSTM in front of the layers; 0: none", 0, 10_000)
+    learning_rate: float = design(1e-2, "-", "of Adam at the start", 0.0, 10.0)
+    last_rate: float = design(0.05, "-", "of the learning rate, at the end", 0.0, 1.0)
+    betas: Annotated[tuple[float, float], Parameter(negative="")] = design((0.9, 0.99), "-", "of Adam", 0.0, 1.0)
+    max_grad_norm: float = design(1.0, "-", "largest norm of a gradient", 0.0, 1e6)
+    mean_weight: float = design(0.0, "-", "weight of J / J0 in the loss, beside ln(J + J0)", 0.0, 100.0)
+    averaged: Whole = design(30, "-", "updates that the exported weights are averaged over, exponentially", 1, 100_000)
+    per_group: Annotated[bool, Parameter(negative="")] = design(
+        False, "-", "the policy sees one group at a time, and plays any grid"
+    )
 
 
 class GradientPolicy(nn.Module):
@@ -195,7 +186,7 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, m
     return loss.item()
 
 
-class GradientLearner:
+class GradientLearner(runs.SavedParts):
     """A policy, its average and its optimiser."""
 
     def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
@@ -203,24 +194,9 @@ class GradientLearner:
         #: Every update pulls towards its own scenarios; their average does not.
         mean: Callable[..., None] = get_ema_multi_avg_fn(1.0 - 1.0 / h.averaged)  # type: ignore[no-untyped-call]
         self.average = AveragedModel(policy, multi_avg_fn=mean)
+        self.network: nn.Module = self.average.module
         self.optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
-
-    def network(self, _settings: RunSettings) -> nn.Module:
-        policy: nn.Module = self.average.module
-        return policy
-
-    @property
-    def _parts(self) -> dict[str, Any]:
-        return {"policy": self.policy, "average": self.average, "optimizer": self.optimizer}
-
-    def save(self, folder: Path) -> None:
-        torch.save({name: part.state_dict() for name, part in self._parts.items()}, folder / _STATE)
-
-    def load(self, folder: Path) -> None:
-        with runs.loading(folder) as folder:
-            state = torch.load(folder / _STATE, weights_only=True)
-            for name, part in self._parts.items():
-                part.load_state_dict(state[name])
+        self.parts = {"policy": policy, "average": self.average, "optimizer": self.optimizer}
 
 
 def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
@@ -232,7 +208,7 @@ def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
     policy = GradientPolicy(lanes.n_observation // n_parts, lanes.n_action // n_parts, h.hidden, h.lstm)
     policy.per_group = h.per_group
     learner = GradientLearner(policy, h)
-    n_steps = round(lanes.duration_s / lanes.settings.step_s)
+    n_steps = lanes.n_steps_of_episode
 
     def learn(scenarios: Sequence[Scenario], _rng: np.random.Generator, index: int, n_batches: int) -> float:
         fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)

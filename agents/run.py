@@ -53,8 +53,9 @@ _TOLERANCE = 1e-4
 class Learner(Protocol):
     """What is trained."""
 
-    def network(self, settings: "RunSettings") -> nn.Module:
-        """Return the deterministic policy for the environment of a run, in the form of `wtg_gym.export_onnx`."""
+    @property
+    def network(self) -> nn.Module:
+        """The deterministic policy for the environment of its run, in the form of `wtg_gym.export_onnx`."""
 
     def save(self, folder: Path) -> object:
         """Write everything that training goes on from into an empty folder."""
@@ -67,6 +68,21 @@ class RoundLearner(Learner, Protocol):
         """Go back to what was saved; a ValueError names a folder that is damaged."""
 
 
+class SavedParts:
+    """The part of a learner that saves and loads its `parts` by their state dictionaries."""
+
+    parts: Mapping[str, Any]
+
+    def save(self, folder: Path) -> None:
+        torch.save({name: part.state_dict() for name, part in self.parts.items()}, folder / "state.pt")
+
+    def load(self, folder: Path) -> None:
+        with loading(folder) as folder:
+            state = torch.load(folder / "state.pt", weights_only=True)
+            for name, part in self.parts.items():
+                part.load_state_dict(state[name])
+
+
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
     # Without this, 2.5 would be rounded.
     return int(tokens[0].value)
@@ -75,25 +91,28 @@ def _whole(_: Any, tokens: Sequence[Token]) -> int:
 Whole = Annotated[int, Parameter(converter=_whole)]
 
 
-@Parameter(name="*")
+def options(record: type[H]) -> type[H]:
+    """Let a dataclass of checked values be options of a command, whose help is the meaning of its fields."""
+    own = record.__annotations__
+    for each in dataclasses.fields(record):  # type: ignore[arg-type]
+        if each.name in own:
+            own[each.name] = Annotated[each.type, Parameter(help=each.metadata["doc"])]
+    decorated: type[H] = Parameter(name="*")(record)
+    return decorated
+
+
+@options
 @dataclass(frozen=True, kw_only=True)
 class SharedSettings(Checked):
     """What is both an option of every training and a setting of its run; the first four as for the environment."""
 
-    action_mode: str = "k+tau"
-    """what the policy modulates: k, tau or k+tau"""
-    observation_mode: str = "local"
-    """what it sees: local or privileged"""
-    suite: str = DEFAULT_SUITE
-    """suite to train and validate on"""
-    strategy: str = tracking_law.REFERENCE_STRATEGY
-    """law that the actions modulate"""
-    seed: Whole = design(0, "-", "", 0, 2**31 - 1)
-    """seed of everything random"""
-    interval: Whole = design(0, "-", "", 0, 10**12)
-    """steps between two validations with a checkpoint each; 0: a 20th of all"""
-    validation_episodes: Whole = design(50, "-", "", 1, 10_000)
-    """scenarios of a validation, the first of the validation split"""
+    action_mode: str = design("k+tau", "-", "what the policy modulates: k, tau or k+tau")
+    observation_mode: str = design("local", "-", "what it sees: local or privileged")
+    suite: str = design(DEFAULT_SUITE, "-", "suite to train and validate on")
+    strategy: str = design(tracking_law.REFERENCE_STRATEGY, "-", "law that the actions modulate")
+    seed: Whole = design(0, "-", "seed of everything random", 0, 2**31 - 1)
+    interval: Whole = design(0, "-", "steps between two validations; 0: a 20th of all", 0, 10**12)
+    validation_episodes: Whole = design(50, "-", "scenarios of a validation, the first of the split", 1, 10_000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -288,7 +307,7 @@ class Run(Checked):
 
         def write_best(folder: Path) -> None:
             (folder / POLICY_FILE).write_bytes(_exported(learner, self.settings))
-            per_group = {"per_group": True} if _per_group(learner.network(self.settings)) else {}
+            per_group = {"per_group": True} if _per_group(learner.network) else {}
             write_atomically(folder / ENTRY_FILE, entry_text({**self.settings.entry(), **per_group}))
 
         metrics = self.validate(learner, timesteps)
@@ -302,7 +321,7 @@ class Run(Checked):
 
     def validate(self, learner: Learner, timesteps: int) -> dict[str, float]:
         """Play the validation scenarios, add a row with score and metrics to the curve, and return the metrics."""
-        s, network = self.settings, learner.network(self.settings)
+        s, network = self.settings, learner.network
         modes: dict[str, Any] = {"action_mode": s.action_mode, "observation_mode": s.observation_mode}
         policy, per_group = TorchPolicy(network), _per_group(network)
         entry = Entry(name="policy", policy=policy, strategy=s.strategy, per_group=per_group, **modes)
@@ -328,7 +347,7 @@ class Run(Checked):
 
 def _exported(learner: Learner, settings: RunSettings) -> bytes:
     """Return the file of a policy as ONNX."""
-    lanes, network = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1), learner.network(settings)
+    lanes, network = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1), learner.network
     n_parts = lanes.n_wtg if _per_group(network) else 1
     return onnx_bytes(network, lanes.n_observation // n_parts, lanes.n_action // n_parts, tolerance=_TOLERANCE)
 
@@ -364,19 +383,17 @@ def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[s
     return lanes.scenarios(range(first, first + n_scenarios))
 
 
-@Parameter(name="*")
+@options
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(SharedSettings):
     """The options that every training shares."""
 
-    output: Path | None = None
-    """folder of the new run"""
-    resume: Path | None = None
-    """go on with the run in this folder, with its own settings"""
-    timesteps: Whole | None = design(None, "-", "", 1, 10**12)
-    """steps of all environments together; default: the learner's"""
-    n_envs: Whole | None = design(None, "-", "", 1, 100_000)
-    """environments side by side, or scenarios of a round; default: the learner's"""
+    output: Path | None = design(None, "-", "folder of the new run")
+    resume: Path | None = design(None, "-", "go on with the run in this folder, with its own settings")
+    timesteps: Whole | None = design(None, "-", "steps of all environments together; default: the learner's", 1, 10**12)
+    n_envs: Whole | None = design(
+        None, "-", "environments side by side, or scenarios of a round; default: the learner's", 1, 100_000
+    )
 
     def settings(self, algo: str, hyperparameters: Mapping[str, Any], *, timesteps: int, n_envs: int) -> RunSettings:
         """Return the settings of a new run; `timesteps` and `n_envs` are used where no option gives them."""
@@ -447,7 +464,7 @@ class Rounds(NamedTuple):
     learner: RoundLearner
     lanes: TaskLanes  # whose training scenarios it learns from
     timesteps: int  # of a round
-    #: Learns from the scenarios of a round, with the round's generator and number of how many; returns what it lowers.
+    #: Learns from the scenarios of a round, its generator, its index, and how many rounds there are; returns the loss.
     learn: Callable[[list[scenario.Scenario], np.random.Generator, int, int], float]
 
 

@@ -131,8 +131,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
     lanes = TaskLanes(EnvSettings(**runs[0].settings.env_arguments), 1, 1)
     learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
     learner.load(saved[0])
-    network = learner.network(runs[0].settings)
-    assert largest_difference(TorchPolicy(network), entry.policy, runs[0].settings) <= 1e-6
+    assert largest_difference(TorchPolicy(learner.network), entry.policy, runs[0].settings) <= 1e-6
 
 
 def test_layers_without_width_are_refused(tmp_path, capsys):
