@@ -1,15 +1,12 @@
 """The environment: one episode at a time."""
 
 from threading import get_ident
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import gymnasium as gym
 
-from wtg_gym.envs import interface, settings
+from wtg_gym.envs import interface, rendering, settings
 from wtg_gym.signals import HeldSignals
-
-if TYPE_CHECKING:
-    from wtg_gym.envs.rendering import Frame
 
 
 class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Action]):
@@ -136,7 +133,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         finally:
             use.give_back()
 
-    def render(self) -> "Frame | None":
+    def render(self) -> rendering.Frame | None:
         """Draw the episode up to now: the frame (540, 960, 3) uint8 with "rgb_array", else None.
 
         With "human" :meth:`reset` and :meth:`step` draw by themselves; without a render mode there is a warning. A

@@ -1,7 +1,7 @@
 """The vector environment: many episodes in one compiled call."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -10,13 +10,10 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs import interface, settings
+from wtg_gym.envs import interface, rendering, settings
 from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
-
-if TYPE_CHECKING:
-    from wtg_gym.envs.rendering import Frame
 
 _MOST_ENVS = 1_000_000
 #: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
@@ -257,7 +254,7 @@ class GFMWTGVectorEnv(
             infos[key], infos[f"_{key}"] = array, mask
         return infos
 
-    def render(self) -> "tuple[Frame, ...] | None":
+    def render(self) -> tuple[rendering.Frame, ...] | None:
         """Draw every episode up to now: a frame (540, 960, 3) uint8 per environment.
 
         Without a render mode: None and a warning. A RuntimeError says that an environment was never started.

@@ -61,10 +61,12 @@ _TEXTS: tuple[tuple[float, float, dict[str, Any]], ...] = (
 
 def _needed(module: str, what: str) -> Any:
     """Import a module of the `render` extra; a DependencyNotInstalled says what needs it."""
+    name = module.partition(".")[0]
     try:
+        # The package first: a module of it may be there already.
+        import_module(name)
         return import_module(module)
     except ImportError as error:
-        name = module.partition(".")[0]
         raise DependencyNotInstalled(f"{what} needs {name}; {install_advice('render')}") from error
 
 
