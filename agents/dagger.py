@@ -12,17 +12,16 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import torch
-from cyclopts import Parameter
 from torch import Tensor
 
 from agents import run as runs
 from agents.gradient import GradientPolicy, descend
 from agents.planner import Floats, Planner, PlannerOptions, drive
-from agents.run import RunSettings, Whole
+from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.physics.scenario import Scenario
@@ -39,9 +38,7 @@ class Hyperparameters(PlannerOptions):
     """Those of the policy and its fits, and how the planner plans."""
 
     lstm: Whole = design(64, "-", "width of the policy's LSTM", 1, 10_000)
-    hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = design(
-        (64,), "-", "widths of the layers behind it, or none", 1, 10_000
-    )
+    hidden: Widths = design((64,), "-", "widths of the layers behind it, or none", 1, 10_000)
     updates: Whole = design(150, "-", "of a fit", 1, 1_000_000)
     batch: Whole = design(40, "-", "episodes of an update", 1, 100_000)
     learning_rate: float = design(3e-3, "-", "of Adam at the start of a fit", 0.0, 10.0)

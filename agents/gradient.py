@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from agents import run as runs
-from agents.run import RunSettings, Whole
+from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
@@ -46,9 +46,7 @@ STRAY_WEIGHT = 5.0
 class Hyperparameters(Checked):
     """Hyperparameters; the learning rate falls along half a cosine to `last_rate` of it."""
 
-    hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = design(
-        (64, 64), "-", "widths of the hidden layers, or none", 1, 10_000
-    )
+    hidden: Widths = design((64, 64), "-", "widths of the hidden layers, or none", 1, 10_000)
     lstm: Whole = design(0, "-", "width of an LSTM in front of the layers; 0: none", 0, 10_000)
     learning_rate: float = design(1e-2, "-", "of Adam at the start", 0.0, 10.0)
     last_rate: float = design(0.05, "-", "of the learning rate, at the end", 0.0, 1.0)

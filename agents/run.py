@@ -89,6 +89,8 @@ def _whole(_: Any, tokens: Sequence[Token]) -> int:
 
 
 Whole = Annotated[int, Parameter(converter=_whole)]
+#: Widths of layers, or none.
+Widths = Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")]
 
 
 def options(record: type[H]) -> type[H]:
