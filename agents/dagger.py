@@ -8,58 +8,42 @@ meanwhile. After each round the policy is fitted to the plans of all rounds.
 
 from __future__ import annotations
 
-import functools
 import math
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
-from cyclopts import Parameter
-from torch import Tensor, nn
+from torch import Tensor
 
 from agents import run as runs
 from agents.gradient import GradientPolicy, descend
 from agents.planner import Floats, Planner, PlannerOptions, drive
-from agents.run import Run, RunOptions, RunSettings, Whole
+from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import design
 
-#: The algorithm's name in run.json.
-NAME = "dagger"
-_STATE = "state.pt"
-_TIMESTEPS, _N_ENVS = 172_800, 80
 #: Correlation time of the noise of the first round [s].
 _NOISE_S = 10.0
 _MAX_GRAD_NORM = 1.0
 
 
-@Parameter(name="*")
+@runs.options
 @dataclass(frozen=True)
 class Hyperparameters(PlannerOptions):
     """Those of the policy and its fits, and how the planner plans."""
 
-    lstm: Whole = design(64, "-", "", 1, 10_000)
-    """width of the policy's LSTM"""
-    hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = design(
-        (64,), "-", "", 1, 10_000
-    )
-    """widths of the layers behind it, or none"""
-    updates: Whole = design(150, "-", "", 1, 1_000_000)
-    """of a fit"""
-    batch: Whole = design(40, "-", "", 1, 100_000)
-    """episodes of an update"""
-    learning_rate: float = design(3e-3, "-", "", 0.0, 10.0)
-    """of Adam at the start of a fit"""
-    last_rate: float = design(0.17, "-", "", 0.0, 1.0)
-    """of the learning rate, at the end of a fit"""
-    noise: float = design(0.15, "-", "", 0.0, 1.0)
-    """standard deviation of the noise on the actions of the first round"""
+    lstm: Whole = design(64, "-", "width of the policy's LSTM", 1, 10_000)
+    hidden: Widths = design((64,), "-", "widths of the layers behind it, or none", 1, 10_000)
+    updates: Whole = design(150, "-", "of a fit", 1, 1_000_000)
+    batch: Whole = design(40, "-", "episodes of an update", 1, 100_000)
+    learning_rate: float = design(3e-3, "-", "of Adam at the start of a fit", 0.0, 10.0)
+    last_rate: float = design(0.17, "-", "of the learning rate, at the end of a fit", 0.0, 1.0)
+    noise: float = design(0.15, "-", "standard deviation of the noise on the actions of the first round", 0.0, 1.0)
 
 
 class Plans:
@@ -75,6 +59,12 @@ class Plans:
         for kept, steps in ((self.observations, observations), (self.actions, actions), (self.counts, counts)):
             kept.append(torch.from_numpy(np.stack(steps).astype(np.float32)))
 
+    def state_dict(self) -> dict[str, list[Tensor]]:
+        return vars(self)
+
+    def load_state_dict(self, state: Mapping[str, list[Tensor]]) -> None:
+        vars(self).update(state)
+
     def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """Return some episodes of all rounds, drawn with replacement, as many of one round as of another."""
         rounds = zip(self.observations, self.actions, self.counts, strict=True)
@@ -84,26 +74,12 @@ class Plans:
         return observations, actions, counts
 
 
-class DaggerLearner:
-    """A policy and the plans that it is fitted to, for :func:`agents.run.train_in_rounds`."""
+class DaggerLearner(runs.SavedParts):
+    """A policy and the plans that it is fitted to."""
 
     def __init__(self, policy: GradientPolicy) -> None:
-        self.policy, self.plans = policy, Plans()
-
-    def network(self, _settings: RunSettings) -> nn.Module:
-        """Return the policy."""
-        return self.policy
-
-    def save(self, folder: Path) -> None:
-        """Write everything that training goes on from."""
-        torch.save({"policy": self.policy.state_dict(), "plans": vars(self.plans)}, folder / _STATE)
-
-    def load(self, folder: Path) -> None:
-        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        with runs.loading(folder) as folder:
-            state = torch.load(folder / _STATE, weights_only=True)
-            self.policy.load_state_dict(state["policy"])
-            vars(self.plans).update(state["plans"])
+        self.policy, self.network, self.plans = policy, policy, Plans()
+        self.parts = {"policy": policy, "plans": self.plans}
 
     def fit(self, h: Hyperparameters, rng: np.random.Generator) -> float:
         """Fit the policy to all plans, and return the mean square of what is left in the last update."""
@@ -165,14 +141,8 @@ def driven_by(policy: GradientPolicy, lanes: TaskLanes) -> Callable[[Floats], Fl
     return driver
 
 
-def train(run: Run) -> None:
-    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to the run's folder."""
-    if run.finished:
-        return
-    settings, h = run.settings, run.hyperparameters(Hyperparameters)
-    # Sums over several threads depend on which of them ends first.
-    torch.set_num_threads(1)
-    torch.manual_seed(settings.seed)
+def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
+    """Return the learner of a run, and its rounds."""
     environment = EnvSettings(**settings.env_arguments, reward="cost")
     lanes = TaskLanes(environment, settings.n_envs)
     planner = Planner(environment, settings.n_envs, h)
@@ -181,25 +151,22 @@ def train(run: Run) -> None:
     policy.per_group = True
     learner = DaggerLearner(policy)
 
-    def learn(index: int, n_rounds: int) -> float:
-        rng = np.random.default_rng((settings.seed, index))
-        scenarios = runs.draw(lanes, rng, settings.n_envs)
+    def learn(scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
         driver = driven_by(policy, lanes) if index else disturbed(h.noise, environment.step_s, rng)
         observe(planner, lanes, scenarios, learner.plans, driver)
         return learner.fit(h, rng)
 
-    runs.train_in_rounds(run, learner, planner.n_steps * settings.n_envs, learn)
+    return runs.Rounds(learner, lanes, planner.n_steps * settings.n_envs, learn)
 
 
-def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
-    """Train a policy of sensors to do what a planner with the exact state would do."""
-    runs.begin_or_go_on(
-        options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
-    )
-
-
-#: Runs the command with some words, by default those of the command line, and returns its exit code.
-main = functools.partial(runs.run_command, command, "agents.dagger", "go on with --resume")
+main = runs.main_in_rounds(
+    "dagger",
+    "Train a policy of sensors to do what a planner with the exact state would do.",
+    Hyperparameters,
+    rounds,
+    timesteps=172_800,
+    n_envs=80,
+)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -6,11 +6,10 @@ trips and lost grids as they are: with a hundred parameters and some ms of one c
 generation has other scenarios.
 """
 
-import functools
 import pickle
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +21,7 @@ from cyclopts import Parameter
 from torch import Tensor, nn
 
 from agents import run as runs
-from agents.run import Run, RunOptions, RunSettings, Whole
+from agents.run import RunSettings, Whole
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.physics.scenario import Scenario
@@ -30,12 +29,9 @@ from wtg_gym.ranges import Checked, design
 from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 
 Floats = npt.NDArray[np.float64]
-#: The algorithm's name in run.json.
-NAME = "evolution"
 _STATE = "state.pickle"
 #: Generations over which the weights are averaged: each pulls towards its own scenarios.
 _AVERAGED = 20
-_TIMESTEPS, _N_ENVS = 388_800_000, 90
 #: What a policy sees besides a group's own observation: slow copies of entries of it (frequency, tip-speed ratio, rotor
 #: speed), with these time constants [s], and the mean frequency of all groups.
 SLOW_COLUMNS, SLOW_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
@@ -48,27 +44,21 @@ _LOW_COLUMNS = [0, 3]
 _LOW = [LOW_FREQUENCY_HZ / FREQUENCY_UNIT_HZ, (LOW_ROTOR_PU - 1.0) / ROTOR_SPEED_UNIT_PU]
 
 
-@Parameter(name="*")
+@runs.options
 @dataclass(frozen=True)
 class Hyperparameters(Checked):
     """Hyperparameters; the first generations search the direct weights alone, which are few."""
 
-    hidden: Whole = design(6, "-", "", 0, 1000)
-    """tanh units, or 0 for a linear policy"""
-    population: Whole = design(20, "-", "", 4, 10_000)
-    """candidates of a generation"""
-    first_share: float = design(0.4, "-", "", 0.0, 1.0)
-    """of the generations, for the direct weights alone"""
-    first_spread: float = design(0.15, "-", "", 1e-6, 100.0)
-    """standard deviation of the first candidates' direct weights"""
-    spread: float = design(0.03, "-", "", 1e-6, 100.0)
-    """standard deviation of all weights, when they are searched first"""
-    mean_weight: float = design(0.0, "-", "", 0.0, 100.0)
-    """weight of J / J0 beside ln(J + J0)"""
-    mark_weight: float = design(1.0, "-", "", 0.0, 100.0)
-    """weight of the share of runs with the grid lost or beyond 0.8 Hz"""
-    history: Annotated[bool, Parameter(negative="--own-only")] = True
-    """a group sees slow copies and the mean frequency too, or its present observation alone"""
+    hidden: Whole = design(6, "-", "tanh units, or 0 for a linear policy", 0, 1000)
+    population: Whole = design(20, "-", "candidates of a generation", 4, 10_000)
+    first_share: float = design(0.4, "-", "of the generations, for the direct weights alone", 0.0, 1.0)
+    first_spread: float = design(0.15, "-", "standard deviation of the first candidates' direct weights", 1e-6, 100.0)
+    spread: float = design(0.03, "-", "standard deviation of all weights, when they are searched first", 1e-6, 100.0)
+    mean_weight: float = design(0.0, "-", "weight of J / J0 beside ln(J + J0)", 0.0, 100.0)
+    mark_weight: float = design(1.0, "-", "weight of the share of runs with the grid lost or beyond 0.8 Hz", 0.0, 100.0)
+    history: Annotated[bool, Parameter(negative="--own-only")] = design(
+        True, "-", "a group sees slow copies and the mean frequency too, or its present observation alone"
+    )
 
 
 class GroupPolicy(nn.Module):
@@ -140,7 +130,6 @@ class Population:
     def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int, h: Hyperparameters) -> None:
         self.lanes = TaskLanes(replace(settings, reward="cost"), n_scenarios * n_candidates)
         self._shape, self._h = (n_candidates, n_scenarios), h
-        self.n_steps = round(settings.episode_duration_s() / settings.step_s)
 
     def objectives(self, policy: GroupPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
         """Return what each candidate (n_candidates, n_parameters) should lower, mean over the scenarios."""
@@ -151,7 +140,7 @@ class Population:
         weights = torch.from_numpy(candidates).float()
         states = [torch.zeros(n, n_scenarios, width) for width in policy.state_widths]
         with torch.no_grad():
-            for _ in range(self.n_steps):
+            for _ in range(lanes.n_steps_of_episode):
                 seen = torch.from_numpy(lanes.observations).reshape(n, n_scenarios, -1)
                 actions, *states = policy.act(weights, seen, *states)
                 clipped = actions.reshape(lanes.n_lanes, -1).clamp(-1.0, 1.0)
@@ -196,7 +185,7 @@ class Search:
 
 
 class EvolutionLearner:
-    """A policy and the search for its weights, for :func:`agents.run.train_in_rounds`."""
+    """A policy and the search for its weights."""
 
     def __init__(self, policy: GroupPolicy, seed: int, h: Hyperparameters) -> None:
         self.policy, self._seed, self._h = policy, seed, h
@@ -209,7 +198,7 @@ class EvolutionLearner:
         policy.weights.copy_(torch.from_numpy(self.average))
         self.begin(policy.direct, h.first_spread)
         #: What is exported: where a group sees nothing of the others, the policy of one.
-        self.exported = policy if h.history else policy.of_one()
+        self.network = policy if h.history else policy.of_one()
 
     def begin(self, places: npt.NDArray[np.int64], spread: float) -> None:
         """Begin a search of the weights at some places."""
@@ -229,56 +218,44 @@ class EvolutionLearner:
         self.average += (self.weights - self.average) / _AVERAGED
         self.policy.weights.copy_(torch.from_numpy(self.average))
 
-    def network(self, _settings: RunSettings) -> nn.Module:
-        """Return the policy."""
-        return self.exported
-
     def save(self, folder: Path) -> None:
-        """Write everything that training goes on from."""
         (folder / _STATE).write_bytes(pickle.dumps((self.weights, self.average, self.places, self.search)))
 
     def load(self, folder: Path) -> None:
-        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with runs.loading(folder) as folder:
             self.weights, self.average, self.places, self.search = pickle.loads((folder / _STATE).read_bytes())
             self.policy.weights.copy_(torch.from_numpy(self.average))
 
 
-def train(run: Run) -> None:
-    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to the run's folder."""
-    if run.finished:
-        return
-    settings, h = run.settings, run.hyperparameters(Hyperparameters)
+def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
+    """Return the learner of a run, and its rounds."""
     if settings.observation_mode != "local":
         raise ValueError(f"observation_mode must be local, got {settings.observation_mode!r}: groups see their own")
-    torch.set_num_threads(1)
     population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population, h)
     lanes = population.lanes
     control_dt, n_action = lanes.settings.step_s, lanes.n_action // lanes.n_wtg
     policy = GroupPolicy(lanes.n_wtg, lanes.n_local + n_action, n_action, h.hidden, control_dt, h.history)
     learner = EvolutionLearner(policy, settings.seed, h)
 
-    def learn(index: int, n_generations: int) -> float:
+    def learn(scenarios: Sequence[Scenario], _rng: np.random.Generator, index: int, n_generations: int) -> float:
         if index == round(h.first_share * n_generations) and h.hidden:
             learner.begin(np.arange(policy.n_parameters), h.spread)
         candidates = learner.ask()
-        scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         objectives = population.objectives(policy, candidates, scenarios)
         learner.tell(candidates, objectives)
         return float(objectives.mean())
 
-    runs.train_in_rounds(run, learner, population.n_steps * settings.n_envs * h.population, learn)
+    return runs.Rounds(learner, lanes, lanes.n_steps_of_episode * settings.n_envs * h.population, learn)
 
 
-def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
-    """Train a small policy by evolution, on what the score pays."""
-    runs.begin_or_go_on(
-        options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
-    )
-
-
-#: Runs the command with some words, by default those of the command line, and returns its exit code.
-main = functools.partial(runs.run_command, command, "agents.evolution", "go on with --resume")
+main = runs.main_in_rounds(
+    "evolution",
+    "Train a small policy by evolution, on what the score pays.",
+    Hyperparameters,
+    rounds,
+    timesteps=388_800_000,
+    n_envs=90,
+)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -6,14 +6,12 @@ cost besides, which the worst scenarios decide. Failures by slow rotors or low f
 in the loss they come gradually.
 """
 
-import functools
 import itertools
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -22,18 +20,15 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from agents import run as runs
-from agents.run import Run, RunOptions, RunSettings, Whole
+from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import Checked, design
+from wtg_gym.scenarios import Suite
 from wtg_gym.tasks.cost import CostTerms
 
-#: The algorithm's name in run.json.
-NAME = "gradient"
-_STATE = "state.pt"
-_TIMESTEPS, _N_ENVS = 1_920_000, 32
 _FAILURE = CostTerms._fields.index("failure")
 #: How gradually a failure comes, in rotor speed and in frequency [p.u.].
 ROTOR_SPREAD_PU, FREQUENCY_SPREAD_PU = 0.02, 0.001
@@ -46,31 +41,22 @@ MAX_ACTION_GRADIENT = 0.03
 STRAY_WEIGHT = 5.0
 
 
-@Parameter(name="*")
+@runs.options
 @dataclass(frozen=True)
 class Hyperparameters(Checked):
     """Hyperparameters; the learning rate falls along half a cosine to `last_rate` of it."""
 
-    hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = design(
-        (64, 64), "-", "", 1, 10_000
+    hidden: Widths = design((64, 64), "-", "widths of the hidden layers, or none", 1, 10_000)
+    lstm: Whole = design(0, "-", "width of an LSTM in front of the layers; 0: none", 0, 10_000)
+    learning_rate: float = design(1e-2, "-", "of Adam at the start", 0.0, 10.0)
+    last_rate: float = design(0.05, "-", "of the learning rate, at the end", 0.0, 1.0)
+    betas: Annotated[tuple[float, float], Parameter(negative="")] = design((0.9, 0.99), "-", "of Adam", 0.0, 1.0)
+    max_grad_norm: float = design(1.0, "-", "largest norm of a gradient", 0.0, 1e6)
+    mean_weight: float = design(0.0, "-", "weight of J / J0 in the loss, beside ln(J + J0)", 0.0, 100.0)
+    averaged: Whole = design(30, "-", "updates that the exported weights are averaged over, exponentially", 1, 100_000)
+    per_group: Annotated[bool, Parameter(negative="")] = design(
+        False, "-", "the policy sees one group at a time, and plays any grid"
     )
-    """widths of the hidden layers, or none"""
-    lstm: Whole = design(0, "-", "", 0, 10_000)
-    """width of an LSTM in front of the layers; 0: none"""
-    learning_rate: float = design(1e-2, "-", "", 0.0, 10.0)
-    """of Adam at the start"""
-    last_rate: float = design(0.05, "-", "", 0.0, 1.0)
-    """of the learning rate, at the end"""
-    betas: Annotated[tuple[float, float], Parameter(negative="")] = design((0.9, 0.99), "-", "", 0.0, 1.0)
-    """of Adam"""
-    max_grad_norm: float = design(1.0, "-", "", 0.0, 1e6)
-    """largest norm of a gradient"""
-    mean_weight: float = design(0.0, "-", "", 0.0, 100.0)
-    """weight of J / J0 in the loss, beside ln(J + J0)"""
-    averaged: Whole = design(30, "-", "", 1, 100_000)
-    """updates over which the weights that are validated and exported are averaged, exponentially"""
-    per_group: Annotated[bool, Parameter(negative="")] = False
-    """the policy sees one group at a time, and plays any grid"""
 
 
 class GradientPolicy(nn.Module):
@@ -182,17 +168,11 @@ def costs_of(
     return failures.costs(torch.stack(spent).sum(dim=0), torch.stack(watched).amin(dim=0)), strays
 
 
-class Loss:
-    """What the score pays for, to be lowered: the mean over scenarios of ln(J + J0), in units of Λ."""
-
-    def __init__(self, settings: EnvSettings, mean_weight: float = 0.0) -> None:
-        self._suite, self._mean_weight = settings.resolved_suite, mean_weight
-
-    def __call__(self, costs: Tensor, scenarios: Sequence[Scenario]) -> Tensor:
-        """Return the loss of episodes from their costs (n_lanes,)."""
-        offsets = torch.tensor([self._suite.cost_offset(scenario) for scenario in scenarios], dtype=costs.dtype)
-        loss = torch.log(costs + offsets) + self._mean_weight * costs / offsets
-        return loss.mean() / (self._suite.task.scale or 1.0)
+def loss_of(costs: Tensor, suite: Suite, scenarios: Sequence[Scenario], mean_weight: float = 0.0) -> Tensor:
+    """Return what the score pays for, to be lowered: the mean over scenarios of ln(J + J0), in units of Λ."""
+    offsets = torch.tensor([suite.cost_offset(scenario) for scenario in scenarios], dtype=costs.dtype)
+    loss = torch.log(costs + offsets) + mean_weight * costs / offsets
+    return loss.mean() / (suite.task.scale or 1.0)
 
 
 def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, max_grad_norm: float) -> float:
@@ -204,76 +184,50 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, m
     return loss.item()
 
 
-class GradientLearner:
-    """A policy, its average and its optimiser, for :func:`agents.run.train_in_rounds`."""
+class GradientLearner(runs.SavedParts):
+    """A policy, its average and its optimiser."""
 
     def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
         self.policy = policy
         #: Every update pulls towards its own scenarios; their average does not.
         mean: Callable[..., None] = get_ema_multi_avg_fn(1.0 - 1.0 / h.averaged)  # type: ignore[no-untyped-call]
         self.average = AveragedModel(policy, multi_avg_fn=mean)
+        self.network: nn.Module = self.average.module
         self.optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
-
-    def network(self, _settings: RunSettings) -> nn.Module:
-        """Return the average."""
-        policy: nn.Module = self.average.module
-        return policy
-
-    @property
-    def _parts(self) -> dict[str, Any]:
-        return {"policy": self.policy, "average": self.average, "optimizer": self.optimizer}
-
-    def save(self, folder: Path) -> None:
-        """Write everything that training goes on from."""
-        torch.save({name: part.state_dict() for name, part in self._parts.items()}, folder / _STATE)
-
-    def load(self, folder: Path) -> None:
-        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        with runs.loading(folder) as folder:
-            state = torch.load(folder / _STATE, weights_only=True)
-            for name, part in self._parts.items():
-                part.load_state_dict(state[name])
+        self.parts = {"policy": policy, "average": self.average, "optimizer": self.optimizer}
 
 
-def train(run: Run) -> None:
-    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to the run's folder."""
-    if run.finished:
-        return
-    settings, h = run.settings, run.hyperparameters(Hyperparameters)
-    # Sums over several threads depend on which of them ends first.
-    torch.set_num_threads(1)
-    torch.manual_seed(settings.seed)
+def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
+    """Return the learner of a run, and its rounds."""
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
-    failures, loss_of = Failures(episodes), Loss(lanes.settings, h.mean_weight)
+    failures = Failures(episodes)
     n_parts = lanes.n_wtg if h.per_group else 1
     policy = GradientPolicy(lanes.n_observation // n_parts, lanes.n_action // n_parts, h.hidden, h.lstm)
     policy.per_group = h.per_group
     learner = GradientLearner(policy, h)
-    n_steps = round(lanes.duration_s / lanes.settings.step_s)
+    n_steps = lanes.n_steps_of_episode
 
-    def learn(index: int, n_batches: int) -> float:
+    def learn(scenarios: Sequence[Scenario], _rng: np.random.Generator, index: int, n_batches: int) -> float:
         fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
         learner.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
-        scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
-        loss = loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean()
+        loss = loss_of(costs, lanes.suite, scenarios, h.mean_weight) + STRAY_WEIGHT * strays.mean()
         value = descend(policy, learner.optimizer, loss, h.max_grad_norm)
         learner.average.update_parameters(policy)
         return value
 
-    runs.train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
+    return runs.Rounds(learner, lanes, n_steps * settings.n_envs, learn)
 
 
-def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
-    """Train a policy by back-propagation through whole episodes of the environment itself."""
-    runs.begin_or_go_on(
-        options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
-    )
-
-
-#: Runs the command with some words, by default those of the command line, and returns its exit code.
-main = functools.partial(runs.run_command, command, "agents.gradient", "go on with --resume")
+main = runs.main_in_rounds(
+    "gradient",
+    "Train a policy by back-propagation through whole episodes of the environment itself.",
+    Hyperparameters,
+    rounds,
+    timesteps=1_920_000,
+    n_envs=32,
+)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from cyclopts import Parameter
 from torch import Tensor
 
 from agents import run as runs
@@ -43,23 +42,17 @@ _BETAS, _SHRINKS = (0.7, 0.9), 0.7
 _N_OTHERS, _MOST_DRAWS = 300, 20
 
 
-@Parameter(name="*")
+@runs.options
 @dataclass(frozen=True)
 class PlannerOptions(Checked):
     """How it plans."""
 
-    horizon_s: float = design(60.0, "s", "", 1.0, 600.0)
-    """how far it looks ahead"""
-    interval_s: float = design(10.0, "s", "", 0.1, 60.0)
-    """time between two plans"""
-    knot_s: float = design(5.0, "s", "", 0.1, 60.0)
-    """time between two actions of a plan; in between they are interpolated"""
-    iterations: Whole = design(5, "-", "", 1, 1000)
-    """gradients of a plan, which begins as the plan before"""
-    step: float = design(0.1, "-", "", 1e-6, 10.0)
-    """first step of the optimiser, in the argument of tanh"""
-    futures: Whole = design(3, "-", "", 0, 100)
-    """that a plan weighs; 0: one, in which the wind stays and no event comes"""
+    horizon_s: float = design(60.0, "s", "how far it looks ahead", 1.0, 600.0)
+    interval_s: float = design(10.0, "s", "time between two plans", 0.1, 60.0)
+    knot_s: float = design(5.0, "s", "time between two actions of a plan; in between they are interpolated", 0.1, 60.0)
+    iterations: Whole = design(5, "-", "gradients of a plan, which begins as the plan before", 1, 1000)
+    step: float = design(0.1, "-", "first step of the optimiser, in the argument of tanh", 1e-6, 10.0)
+    futures: Whole = design(3, "-", "that a plan weighs; 0: one, in which the wind stays and no event comes", 0, 100)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,11 +88,7 @@ def without_foresight(scenario: Scenario, time_s: float, longer_s: float) -> Sce
 
 
 class Futures:
-    """Draws how scenarios may go on: as other training scenarios do.
-
-    Args:
-        lanes: with the settings of the environment.
-    """
+    """Draws how scenarios of an environment may go on: as other training scenarios do."""
 
     def __init__(self, lanes: TaskLanes) -> None:
         self._lanes, suite = lanes, lanes.suite
@@ -130,14 +119,7 @@ class Futures:
 
 
 class Planner:
-    """Plans for episodes side by side.
-
-    Args:
-        settings: of the environment.
-        n_lanes: number of episodes.
-        options: how it plans.
-        n_threads: threads to step with; None for one per processor.
-    """
+    """Plans for episodes of an environment side by side, on `n_threads`, None for one per processor."""
 
     def __init__(
         self,
@@ -255,14 +237,10 @@ def drive(
     driver: Callable[[Floats], Floats] = lambda plan: plan,
     on_progress: Callable[[int, int], None] = lambda done, n: None,
 ) -> Floats:
-    """Play episodes and return the actions that were taken (n_steps, n_lanes, n_action).
+    """Play a scenario in each of the lanes, and return the actions that were taken (n_steps, n_lanes, n_action).
 
-    Args:
-        planner: plans from where the episodes are.
-        lanes: of as many episodes, with the planner's settings.
-        scenarios: one per episode.
-        driver: returns the actions to take, (n_lanes, n_action) like the plan that it gets.
-        on_progress: called with the steps done, and all.
+    The driver returns those of a step (n_lanes, n_action), like the plan that it gets. `on_progress` is called with the
+    steps done, and all.
     """
     planner.start(scenarios)
     lanes.start(range(lanes.n_lanes), scenarios)

@@ -6,6 +6,7 @@ of any kind, and best/, the policy with the best validation score as an entry th
 
 import contextlib
 import dataclasses
+import functools
 import platform
 import shlex
 import shutil
@@ -17,9 +18,10 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, Protocol, TypeVar
+from typing import Annotated, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+import torch
 from cyclopts import App, CycloptsError, Parameter, Token
 from filelock import FileLock, Timeout
 from torch import nn
@@ -49,41 +51,80 @@ _TOLERANCE = 1e-4
 
 
 class Learner(Protocol):
-    """What is trained.
+    """What is trained."""
 
-    `network` returns the deterministic policy for the environment of a run, in the form of `wtg_gym.export_onnx`, and
-    `save` writes everything that training goes on from.
-    """
+    @property
+    def network(self) -> nn.Module:
+        """The deterministic policy for the environment of its run, in the form of `wtg_gym.export_onnx`."""
 
-    def network(self, settings: "RunSettings") -> nn.Module: ...
-
-    def save(self, folder: Path) -> object: ...
+    def save(self, folder: Path) -> object:
+        """Write everything that training goes on from into an empty folder."""
 
 
 class RoundLearner(Learner, Protocol):
-    """A learner for :func:`train_in_rounds`; `load` goes back to what was saved, or names a damaged folder."""
+    """A learner that learns in rounds."""
 
-    def load(self, folder: Path) -> None: ...
+    def load(self, folder: Path) -> None:
+        """Go back to what was saved; a ValueError names a folder that is damaged."""
+
+
+class SavedParts:
+    """The part of a learner that saves and loads its `parts` by their state dictionaries."""
+
+    parts: Mapping[str, Any]
+
+    def save(self, folder: Path) -> None:
+        torch.save({name: part.state_dict() for name, part in self.parts.items()}, folder / "state.pt")
+
+    def load(self, folder: Path) -> None:
+        with loading(folder) as folder:
+            state = torch.load(folder / "state.pt", weights_only=True)
+            for name, part in self.parts.items():
+                part.load_state_dict(state[name])
+
+
+def _whole(_: Any, tokens: Sequence[Token]) -> int:
+    # Without this, 2.5 would be rounded.
+    return int(tokens[0].value)
+
+
+Whole = Annotated[int, Parameter(converter=_whole)]
+#: Widths of layers, or none.
+Widths = Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")]
+
+
+def options(record: type[H]) -> type[H]:
+    """Let a dataclass of checked values be options of a command, whose help is the meaning of its fields."""
+    own = record.__annotations__
+    for each in dataclasses.fields(record):  # type: ignore[arg-type]
+        if each.name in own:
+            own[each.name] = Annotated[each.type, Parameter(help=each.metadata["doc"])]
+    decorated: type[H] = Parameter(name="*")(record)
+    return decorated
+
+
+@options
+@dataclass(frozen=True, kw_only=True)
+class SharedSettings(Checked):
+    """What is both an option of every training and a setting of its run; the first four as for the environment."""
+
+    action_mode: str = design("k+tau", "-", "what the policy modulates: k, tau or k+tau")
+    observation_mode: str = design("local", "-", "what it sees: local or privileged")
+    suite: str = design(DEFAULT_SUITE, "-", "suite to train and validate on")
+    strategy: str = design(tracking_law.REFERENCE_STRATEGY, "-", "law that the actions modulate")
+    seed: Whole = design(0, "-", "seed of everything random", 0, 2**31 - 1)
+    interval: Whole = design(0, "-", "steps between two validations; 0: a 20th of all", 0, 10**12)
+    validation_episodes: Whole = design(50, "-", "scenarios of a validation, the first of the split", 1, 10_000)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings(Checked):
+class RunSettings(SharedSettings):
     """Settings of a run; all of them survive JSON; a ValueError if a value is unknown or out of range."""
 
     algo: str  # name of the algorithm
     hyperparameters: Mapping[str, Any]  # section of a configuration file, as written there
-    #: action_mode, observation_mode, suite, strategy: as for the environment.
-    action_mode: str = "k+tau"
-    observation_mode: str = "local"
-    suite: str = DEFAULT_SUITE
-    strategy: str = tracking_law.REFERENCE_STRATEGY
-    seed: int = design(0, "-", "seed of the weights, the exploration and the scenarios", 0, 2**31 - 1)
     timesteps: int = required("-", "design", "steps of all environments together", 1, 10**12)
     n_envs: int = required("-", "design", "number of environments", 1, 100_000)
-    interval: int = design(0, "-", "steps between two validations with a checkpoint each; 0: a 20th of all", 0, 10**12)
-    validation_episodes: int = design(
-        50, "-", "scenarios of a validation, the first of the validation split", 1, 10_000
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -268,7 +309,7 @@ class Run(Checked):
 
         def write_best(folder: Path) -> None:
             (folder / POLICY_FILE).write_bytes(_exported(learner, self.settings))
-            per_group = {"per_group": True} if _per_group(learner.network(self.settings)) else {}
+            per_group = {"per_group": True} if _per_group(learner.network) else {}
             write_atomically(folder / ENTRY_FILE, entry_text({**self.settings.entry(), **per_group}))
 
         metrics = self.validate(learner, timesteps)
@@ -282,7 +323,7 @@ class Run(Checked):
 
     def validate(self, learner: Learner, timesteps: int) -> dict[str, float]:
         """Play the validation scenarios, add a row with score and metrics to the curve, and return the metrics."""
-        s, network = self.settings, learner.network(self.settings)
+        s, network = self.settings, learner.network
         modes: dict[str, Any] = {"action_mode": s.action_mode, "observation_mode": s.observation_mode}
         policy, per_group = TorchPolicy(network), _per_group(network)
         entry = Entry(name="policy", policy=policy, strategy=s.strategy, per_group=per_group, **modes)
@@ -308,7 +349,7 @@ class Run(Checked):
 
 def _exported(learner: Learner, settings: RunSettings) -> bytes:
     """Return the file of a policy as ONNX."""
-    lanes, network = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1), learner.network(settings)
+    lanes, network = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1), learner.network
     n_parts = lanes.n_wtg if _per_group(network) else 1
     return onnx_bytes(network, lanes.n_observation // n_parts, lanes.n_action // n_parts, tolerance=_TOLERANCE)
 
@@ -344,60 +385,17 @@ def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[s
     return lanes.scenarios(range(first, first + n_scenarios))
 
 
-def train_in_rounds(run: Run, learner: RoundLearner, timesteps: int, learn: Callable[[int, int], float]) -> None:
-    """Train from the last checkpoint, if there is one, to the end, in rounds of equally many steps.
-
-    `learn(index, n_rounds)` learns from one round and returns what is to be lowered. It should draw from a generator of
-    the round: then a resumed run draws what an undisturbed one would have drawn.
-    """
-    n_rounds, first = -(-run.settings.timesteps // timesteps), 0
-    if saved := run.checkpoint:
-        first = int(saved.name) // timesteps
-        learner.load(saved)
-    run.begin(learner)
-    with Progress("rounds") as progress:
-        for index in range(first, n_rounds):
-            run.take_stock(learner, index * timesteps)
-            value = learn(index, n_rounds)
-            progress.update(f"objective {value:.3f}, {run.title}", index + 1 - first, n_rounds - first)
-    run.take_stock(learner, n_rounds * timesteps, finished=True)
-
-
-def _whole(_: Any, tokens: Sequence[Token]) -> int:
-    # Without this, 2.5 would be rounded.
-    return int(tokens[0].value)
-
-
-Whole = Annotated[int, Parameter(converter=_whole)]
-
-
-@Parameter(name="*")
+@options
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
-    """The options that every training shares; those beside the folders are of :class:`RunSettings`."""
+class RunOptions(SharedSettings):
+    """The options that every training shares."""
 
-    output: Path | None = None
-    """folder of the new run"""
-    resume: Path | None = None
-    """go on with the run in this folder, with its own settings"""
-    action_mode: Literal["k", "tau", "k+tau"] = "k+tau"
-    """what the policy modulates"""
-    observation_mode: Literal["local", "privileged"] = "local"
-    """what it sees"""
-    suite: str = DEFAULT_SUITE
-    """suite to train and validate on"""
-    strategy: str = tracking_law.REFERENCE_STRATEGY
-    """law that the actions modulate"""
-    seed: Whole = 0
-    """seed of everything random"""
-    timesteps: Whole | None = None
-    """steps of all environments together; default: the learner's"""
-    n_envs: Whole | None = None
-    """environments side by side, or scenarios of a generation; default: the learner's"""
-    interval: Whole = 0
-    """steps between validations; 0: a 20th of all"""
-    validation_episodes: Whole = 50
-    """scenarios of a validation"""
+    output: Path | None = design(None, "-", "folder of the new run")
+    resume: Path | None = design(None, "-", "go on with the run in this folder, with its own settings")
+    timesteps: Whole | None = design(None, "-", "steps of all environments together; default: the learner's", 1, 10**12)
+    n_envs: Whole | None = design(
+        None, "-", "environments side by side, or scenarios of a round; default: the learner's", 1, 100_000
+    )
 
     def settings(self, algo: str, hyperparameters: Mapping[str, Any], *, timesteps: int, n_envs: int) -> RunSettings:
         """Return the settings of a new run; `timesteps` and `n_envs` are used where no option gives them."""
@@ -460,3 +458,50 @@ def begin_or_go_on(
                 run.resumptions.append(_provenance(run.settings))
         train(run)
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
+
+
+class Rounds(NamedTuple):
+    """A learner and the rounds of equally many steps in which it learns."""
+
+    learner: RoundLearner
+    lanes: TaskLanes  # whose training scenarios it learns from
+    timesteps: int  # of a round
+    #: Learns from the scenarios of a round, its generator, its index, and how many rounds there are; returns the loss.
+    learn: Callable[[list[scenario.Scenario], np.random.Generator, int, int], float]
+
+
+def main_in_rounds(
+    name: str, what: str, record: type[H], rounds: Callable[[RunSettings, H], Rounds], **defaults: int
+) -> Callable[..., int]:
+    """Return the `main` of the command `agents.NAME`, which trains the algorithm of that name in rounds.
+
+    `what` is its help, `record` its hyperparameters; `defaults` are `timesteps` and `n_envs`, scenarios of a round.
+    """
+
+    def train(run: Run) -> None:
+        settings = run.settings
+        if run.finished:
+            return
+        # Sums over several threads depend on which of them ends first.
+        torch.set_num_threads(1)
+        torch.manual_seed(settings.seed)
+        learner, lanes, timesteps, learn = rounds(settings, run.hyperparameters(record))
+        n_rounds, first = -(-settings.timesteps // timesteps), 0
+        if saved := run.checkpoint:
+            first = int(saved.name) // timesteps
+            learner.load(saved)
+        run.begin(learner)
+        with Progress("rounds") as progress:
+            for index in range(first, n_rounds):
+                run.take_stock(learner, index * timesteps)
+                # Of its own, so that a resumed run draws what an undisturbed one would have drawn.
+                rng = np.random.default_rng((settings.seed, index))
+                value = learn(draw(lanes, rng, settings.n_envs), rng, index, n_rounds)
+                progress.update(f"objective {value:.3f}, {run.title}", index + 1 - first, n_rounds - first)
+        run.take_stock(learner, n_rounds * timesteps, finished=True)
+
+    def command(*, options: RunOptions = RunOptions(), h: Any = record()) -> None:  # noqa: B008
+        begin_or_go_on(options, (name,), lambda: options.settings(name, dataclasses.asdict(h), **defaults), train)
+
+    command.__doc__, command.__annotations__["h"] = what, record
+    return functools.partial(run_command, command, f"agents.{name}", "go on with --resume")

@@ -46,21 +46,25 @@ def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
     raise ValueError(f"the best policy of {run_folder} is not in agents/policies: export it first")
 
 
+def _trainings() -> dict[tuple[str, str], dict[str, dict[str, Any]]]:
+    """Return the records of the shipped policies by environment and name, then by folder; of some there is none."""
+    records = files.read_json(RECORDS, "records of the trainings")
+    trainings: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
+    for folder in policy_folders():
+        entry = files.read_toml(folder / ENTRY_FILE, "entry file")
+        trainings.setdefault((entry["environment"], entry["name"]), {})[folder.name] = records.get(folder.name, {})
+    return trainings
+
+
 def table() -> str:
     """Return the table: a row per name of an entry and environment, its training seeds together."""
-    records = files.read_json(RECORDS, "records of the trainings")
-    groups: dict[tuple[str, str], list[Path]] = {}
-    entries = {folder: files.read_toml(folder / ENTRY_FILE, "entry file") for folder in policy_folders()}
-    for folder, entry in entries.items():
-        groups.setdefault((entry["environment"], entry["name"]), []).append(folder)
-    rows = []
+    groups, rows = _trainings(), []
     for environment, name in sorted(groups, key=lambda key: (-int(key[0][-1]), key[1].casefold())):
-        seeds = groups[environment, name]
-        trainings = [records[folder.name] for folder in seeds if folder.name in records]
+        trainings = [training for training in groups[environment, name].values() if training]
         rows.append(
             [
                 f"{name} ({environment.rpartition('-')[2]})",
-                str(len(seeds)),
+                str(len(groups[environment, name])),
                 _range([training["steps"] / 1e6 for training in trainings]),
                 _range([training["validation_score"] for training in trainings]),
                 _range([training["wall_time_s"] / 60 for training in trainings if "wall_time_s" in training]),
@@ -74,14 +78,12 @@ def table() -> str:
 @printed
 def curves() -> "Figure":
     """Return a figure of validation scores over the minutes of training, of every policy whose record has them."""
-    records = files.read_json(RECORDS, "records of the trainings")
-    names = {folder.name: files.read_toml(folder / ENTRY_FILE, "entry file")["name"] for folder in policy_folders()}
-    shown = {folder: record["curve"] for folder, record in records.items() if "curve" in record}
-    looks = strategy_looks(dict.fromkeys(names[folder] for folder in shown))
+    groups = _trainings().items()
+    shown = [(name, each["curve"]) for (_, name), seeds in groups for each in seeds.values() if "curve" in each]
+    looks = strategy_looks(dict.fromkeys(name for name, _ in shown))
     figure = new_figure(DOUBLE_COLUMN_MM, 70.0)
     axes = figure.subplots()
-    for folder, curve in shown.items():
-        name = names[folder]
+    for name, curve in shown:
         axes.plot(*zip(*curve, strict=True), color=looks[name].colour, ls=looks[name].dashes, label=name)
     axes.set(xlabel="minutes", ylabel="validation score", ylim=(100.0, None))
     by_name = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))

@@ -84,14 +84,15 @@ def normalization_arguments(raw: Mapping[str, Any]) -> dict[str, Any] | None:
 class SB3Learner:
     """A learner of Stable-Baselines3, for :class:`agents.run.Run`."""
 
-    def __init__(self, model: BaseAlgorithm) -> None:
-        self.model = model
+    def __init__(self, model: BaseAlgorithm, settings: RunSettings) -> None:
+        self.model, self._settings = model, settings
 
-    def network(self, settings: RunSettings) -> torch.nn.Module:
-        """Return the deterministic policy for the environment of a run."""
+    @property
+    def network(self) -> torch.nn.Module:
+        """The deterministic policy for the environment of its run."""
         network = DeterministicPolicy(self.model)
-        if settings.algo == IPPO:
-            return SharedPolicy(network, EnvSettings(**settings.env_arguments))
+        if self._settings.algo == IPPO:
+            return SharedPolicy(network, EnvSettings(**self._settings.env_arguments))
         return network
 
     def save(self, folder: Path) -> None:
@@ -153,7 +154,7 @@ def train(run: Run) -> None:
     env = model.get_env()
     assert env is not None
     try:
-        run.begin(SB3Learner(model))
+        run.begin(SB3Learner(model, settings))
         model.set_logger(configure(str(run.folder / "tensorboard"), ["tensorboard"]))
         with Progress("thousand steps") as progress:
             supervision = _Supervision(run, progress, model.num_timesteps)
@@ -187,7 +188,8 @@ class _Supervision(BaseCallback):
 
     def take_stock(self, *, finished: bool = False) -> None:
         """Validate, keep the best policy, and write a checkpoint, where it is time for it."""
-        metrics = self._run.take_stock(SB3Learner(self.model), self.model.num_timesteps, finished=finished)
+        learner = SB3Learner(self.model, self._run.settings)
+        metrics = self._run.take_stock(learner, self.model.num_timesteps, finished=finished)
         for key, value in (metrics or {}).items():
             self.logger.record(f"validation/{key}", value)
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from agents import gradient
-from agents.gradient import Failures, GradientLearner, GradientPolicy, Hyperparameters, Loss, costs_of, descend, main
+from agents.gradient import Failures, GradientLearner, GradientPolicy, Hyperparameters, costs_of, descend, loss_of, main
 from agents.run import draw, folders
 from tests.agents.small import largest_difference, run_and_interrupted_run
 from tests.interruption import interrupted
@@ -32,13 +32,13 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(hidden, lstm, settings):
     torch.manual_seed(0)
     episodes = TorchEpisodes(EnvSettings(**{"version": "v0", **settings}), 4, 1)
     lanes, failures, h = episodes.tape.lanes, Failures(episodes), Hyperparameters(hidden=hidden, lstm=lstm)
-    loss_of = Loss(lanes.settings)
     policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden, lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
     scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
     losses, n_steps = [], round(20.0 / lanes.settings.step_s)
     for _ in range(10):
-        loss = loss_of(costs_of(episodes, policy, scenarios, n_steps, failures)[0], scenarios)
+        costs, _ = costs_of(episodes, policy, scenarios, n_steps, failures)
+        loss = loss_of(costs, lanes.suite, scenarios)
         losses.append(descend(policy, optimizer, loss, h.max_grad_norm))
     assert losses[-1] < losses[0] - 0.01
 
@@ -95,17 +95,18 @@ def test_a_slow_rotor_ends_the_episode_where_rotors_do():
 
 def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale():
     costs = torch.tensor([30.0, 400.0, 2000.0], dtype=torch.float64)
-    scenarios = get_suite("standard-v1").scenarios([1_000_002, 1_000_000, 1_000_001], duration_s=1.0)
-    offsets, scale = (40.0, 200.0, 1000.0), EnvSettings(**V1).task.scale or 1.0
+    suite, v0 = get_suite("standard-v1"), get_suite("standard")
+    scenarios = suite.scenarios([1_000_002, 1_000_000, 1_000_001], duration_s=1.0)
+    offsets, scale = (40.0, 200.0, 1000.0), suite.task.scale or 1.0
     for weight in (0.0, 0.5):
         parts = [
             (math.log(cost + offset) + weight * cost / offset) / scale
             for cost, offset in zip(costs.tolist(), offsets, strict=True)
         ]
-        assert Loss(EnvSettings(**V1), weight)(costs, scenarios).item() == pytest.approx(sum(parts) / 3.0)
+        assert loss_of(costs, suite, scenarios, weight).item() == pytest.approx(sum(parts) / 3.0)
     # v0 has one offset, and no scale.
-    own = get_suite("standard").scenarios([1_000_000], duration_s=1.0)
-    assert Loss(EnvSettings(version="v0"))(costs[:1], own).item() == pytest.approx(math.log(35.0))
+    own = v0.scenarios([1_000_000], duration_s=1.0)
+    assert loss_of(costs[:1], v0, own).item() == pytest.approx(math.log(35.0))
 
 
 def test_a_batch_of_v1_holds_as_many_of_each_stratum():
@@ -130,8 +131,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
     lanes = TaskLanes(EnvSettings(**runs[0].settings.env_arguments), 1, 1)
     learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
     learner.load(saved[0])
-    network = learner.network(runs[0].settings)
-    assert largest_difference(TorchPolicy(network), entry.policy, runs[0].settings) <= 1e-6
+    assert largest_difference(TorchPolicy(learner.network), entry.policy, runs[0].settings) <= 1e-6
 
 
 def test_layers_without_width_are_refused(tmp_path, capsys):

@@ -66,7 +66,7 @@ def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(algo, ru
     (checkpoint,), run = folders(stopped / "checkpoints"), Run.read(stopped)
     first, restored = new_model(run.settings), load_model(checkpoint, run.settings)
     assert restored.num_timesteps == 256
-    assert run.validate(SB3Learner(restored), 256)["score"] == run.curve[-2]["score"]
+    assert run.validate(SB3Learner(restored, run.settings), 256)["score"] == run.curve[-2]["score"]
     starts = [torch.as_tensor(model.get_env().reset()) for model in (first, restored)]
     assert not same(*starts)
     if algo == "sac":

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 
 from tests.envs.rollouts import actions_of, calm, eventful, single_steps
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.envs.rendering.frame import FRAME_SIZE
+from wtg_gym.envs.rendering import FRAME_SIZE
 
 SHAPE = (FRAME_SIZE[1], FRAME_SIZE[0], 3)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
-from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, ScenarioDistribution, draws, get_suite, wind
+from wtg_gym.scenarios import SUITES, ScenarioDistribution, draws, get_suite, wind
 
 DRAWN = [suite for suite in SUITES.values() if suite.distributions]
 #: With a share of the load few groups fit; those are in SHARED, with their suite's turbines. A suite without a wind
@@ -46,7 +46,7 @@ def check(scenario: sc.Scenario, source: ScenarioDistribution, duration_s: float
     assert scenario.wind_speed.shape == (scenario.n_wtg, n_samples)
     assert scenario.load_noise_mw.shape == (n_samples,)
     assert scenario.load_noise_mw[0] == 0.0
-    low, high = DRAWN_WIND_RANGE
+    low, high = wind.DRAWN_WIND_RANGE
     assert low <= scenario.wind_speed.min() and scenario.wind_speed.max() <= high
     point, loads, lines, islandings = (
         source.find(kind) for kind in (draws.OperatingPoint, draws.LoadEvents, draws.LineTrips, draws.Islandings)

@@ -1,15 +1,12 @@
 """The environment: one episode at a time."""
 
 from threading import get_ident
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import gymnasium as gym
 
-from wtg_gym.envs import interface, settings
+from wtg_gym.envs import interface, rendering, settings
 from wtg_gym.signals import HeldSignals
-
-if TYPE_CHECKING:
-    from wtg_gym.envs.rendering import Frame
 
 
 class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Action]):
@@ -96,10 +93,10 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         """
         checked = interface.check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        scenario = None
+        episodes = None
         if "scenario" in checked:
             scenario = self._lanes.scenario_of('options["scenario"]', checked["scenario"])
-        episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
+            episodes = self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
         self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)
         if self._frames is not None:
@@ -135,7 +132,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         finally:
             use.give_back()
 
-    def render(self) -> "Frame | None":
+    def render(self) -> rendering.Frame | None:
         """Draw the episode up to now: the frame (540, 960, 3) uint8 with "rgb_array", else None.
 
         With "human" :meth:`reset` and :meth:`step` draw by themselves; without a render mode there is a warning. A

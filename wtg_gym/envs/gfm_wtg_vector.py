@@ -1,7 +1,7 @@
 """The vector environment: many episodes in one compiled call."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -10,13 +10,10 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs import interface, settings
+from wtg_gym.envs import interface, rendering, settings
 from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
-
-if TYPE_CHECKING:
-    from wtg_gym.envs.rendering import Frame
 
 _MOST_ENVS = 1_000_000
 #: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
@@ -158,13 +155,13 @@ class GFMWTGVectorEnv(
         checked = interface.check_options(options, ("reset_mask", "scenarios"))
         mask = self._reset_mask(checked.get("reset_mask"))
         seeds = self._lane_seeds(seed)
-        scenarios = self._scenarios(checked["scenarios"]) if "scenarios" in checked else None
         lanes = np.flatnonzero(mask).tolist()
-        generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
         # Given scenarios that cannot start are refused before the first change.
         episodes = None
-        if scenarios is not None:
+        if "scenarios" in checked:
+            scenarios = self._scenarios(checked["scenarios"])
             episodes = self._lanes.prepare([scenarios[lane] for lane in lanes], turning=True)
+        generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
         self._next.reseed(generators)
         if episodes is None:
             self._next.start(lanes)
@@ -216,7 +213,7 @@ class GFMWTGVectorEnv(
         thread is in this object.
         """
         waiting = np.logical_or(*self._lanes.ended())
-        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
+        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._lanes.started):
             raise RuntimeError(
                 f"lanes {np.flatnonzero(waiting).tolist()} are over or were never started; call reset() before step()"
             )
@@ -250,9 +247,6 @@ class GFMWTGVectorEnv(
         infos.update(self._infos(self._all_lanes))
         return self._lanes.observations.copy(), rewards, terminated, truncated, infos
 
-    def _started(self) -> bool:
-        return bool((self._lanes.task_values("end_step") > 0.0).all())
-
     def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """Every key of `info` as an array, and as `_key` the lanes that it holds for: one array for all keys."""
         infos: dict[str, Any] = {}
@@ -260,7 +254,7 @@ class GFMWTGVectorEnv(
             infos[key], infos[f"_{key}"] = array, mask
         return infos
 
-    def render(self) -> "tuple[Frame, ...] | None":
+    def render(self) -> tuple[rendering.Frame, ...] | None:
         """Draw every episode up to now: a frame (540, 960, 3) uint8 per environment.
 
         Without a render mode: None and a warning. A RuntimeError says that an environment was never started.

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 
 from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
+from wtg_gym.envs.rendering import LaneFrames
 from wtg_gym.envs.settings import EnvArguments, EnvSettings
 from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import require_known
@@ -20,8 +21,6 @@ from wtg_gym.signals import undivided
 from wtg_gym.tasks import TASKS, observation
 
 if TYPE_CHECKING:
-    from wtg_gym.envs.rendering import LaneFrames
-
     # For the type checker alone: in Gymnasium 1.2 a Box takes no type.
     Space = gym.spaces.Box[np.float32]
 
@@ -120,9 +119,7 @@ class OverLanes:
         self.metadata = {**self.metadata, "render_fps": fps}
         self._frames: LaneFrames | None = None
         if render_mode is not None:
-            from wtg_gym.envs import rendering
-
-            self._frames = rendering.LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
+            self._frames = LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
         bound = np.full(self._lanes.n_observation, observation.OBSERVATION_BOUND, dtype=np.float32)
         high = np.ones(self._lanes.n_action, dtype=np.float32)
         return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-high, high, dtype=np.float32)
@@ -141,7 +138,7 @@ class OverLanes:
             )
         if spec is not None and spec.max_episode_steps is None:
             # Empty because the environment is registered without a time limit: it ends episodes itself.
-            n_steps = round(self._lanes.duration_s / self.settings.step_s)
+            n_steps = self._lanes.n_steps_of_episode
             spec = dataclasses.replace(spec, max_episode_steps=min(self._step_limit or n_steps, n_steps))
         self._spec = spec
 

@@ -1,7 +1,7 @@
 """Episodes in lanes: what the single and the batched environment, and the evaluator, share."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.layout import Floats, LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
+from wtg_gym.physics.scenario import GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import is_whole, whole_steps
@@ -41,26 +41,23 @@ _MOST_DRAWS = 200
 _BLOCKS_PER_EPISODE = 5
 
 
+#: Arrays with one row per lane: the outputs, then seeds, reserve margins and events, see :class:`TaskLanes`.
+Rows = tuple[npt.NDArray[Any], ...]
+
+
 class LanesSnapshot(NamedTuple):
     """All state of lanes, and the settings that it belongs to."""
 
     settings: dict[str, Any]
     physics: tuple[Floats, LaneData]
-    outputs: Outputs
-    scenario_seeds: npt.NDArray[np.int64]
-    reserve_margins: Floats
-    events: list[tuple[Event, ...]]
+    rows: Rows
 
 
 class PreparedEpisodes(NamedTuple):
-    """Episodes that are ready to start; length, seed and reserve margin of each, (n,), and its events in order."""
+    """Episodes that are ready to start."""
 
     lanes: PreparedLanes
-    n_steps: npt.NDArray[np.int64]
-    scenario_seeds: npt.NDArray[np.int64]
-    reserve_margins: Floats
-    events: tuple[tuple[Event, ...], ...]
-    outputs: Outputs  # what they begin with
+    rows: Rows  # what they begin with
 
 
 class TaskLanes:
@@ -77,7 +74,7 @@ class TaskLanes:
         self.n_wtg = len(plant.groups)
         self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
-        self.observation_names = settings.task.observation_names(settings.choices)
+        self.observation_names = [entry.name for entry in settings.task.entries(settings.choices)]
         self.info_names = (*observation.Info._fields, *(observation.LocalInfo._fields if plant.extended else ()))
         self.n_observation = len(self.observation_names)
         #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
@@ -113,8 +110,8 @@ class TaskLanes:
         self.redrawn = np.zeros(n_lanes, dtype=np.int64)
         #: Of each lane's episode, see :mod:`wtg_gym.scenarios.margin`; NaN where the suite has no margins.
         self.reserve_margins = np.full(n_lanes, np.nan)
-        #: Events of each lane's episode, in their order.
-        self.events: list[tuple[Event, ...]] = [()] * n_lanes
+        #: Events of each lane's episode, in their order: tuples of them.
+        self.events = _objects([()] * n_lanes)
         self._bound: Any = None
         self._no_reasons = np.full(n_lanes, "", dtype=object)
         self._no_reasons.setflags(write=False)
@@ -125,9 +122,18 @@ class TaskLanes:
             self.prepare([self._fixed], turning=True)
 
     @property
+    def _rows(self) -> Rows:
+        return (*self.outputs, self.scenario_seeds, self.reserve_margins, self.events)
+
+    @property
     def n_substeps(self) -> int:
         """Simulation steps of a control step."""
         return self.settings.n_intervals * self.simulator.plant.network.facts.n_substeps
+
+    @property
+    def started(self) -> bool:
+        """Whether every lane has been started."""
+        return bool((self.task_values("end_step") > 0.0).all())
 
     @cached_property
     def _of_episodes(self) -> dict[str, Any]:
@@ -203,9 +209,8 @@ class TaskLanes:
                 raise StartError(f"{error}; {advice}") from error
             raise
         durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
-        step_s = self.settings.step_s
+        step_s, plant = self.settings.step_s, self.settings.resolved_plant
         n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in durations])
-        seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
         outputs = self._start_tasks(lanes, scenarios, n_steps)
         if self.settings.scores:
             if self._reference is None:
@@ -214,16 +219,11 @@ class TaskLanes:
                 self._reference = TaskLanes(settings, min(self.n_lanes, _REFERENCES_AT_ONCE), 1)
             # What the law that scores 100 has paid up to each control step.
             outputs.reference[:] = paid(self._reference, scenarios)
-            plant = self.settings.resolved_plant
             outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
-        return PreparedEpisodes(
-            lanes,
-            n_steps,
-            np.array(seeds, dtype=np.int64),
-            np.array([self.suite.margin(scenario, self.settings.resolved_plant) for scenario in scenarios]),
-            tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios),
-            outputs,
-        )
+        seeds = np.array([-1 if scenario.seed is None else scenario.seed for scenario in scenarios], dtype=np.int64)
+        margins = np.array([self.suite.margin(scenario, plant) for scenario in scenarios])
+        events = _objects([tuple(sorted(each.events, key=lambda event: event.time_s)) for each in scenarios])
+        return PreparedEpisodes(lanes, (*outputs, seeds, margins, events))
 
     def next_episode(self, rng: np.random.Generator, lane: int, scenario: Scenario | None = None) -> PreparedEpisodes:
         """Return a lane's next episode: the first that starts of the scenarios that its generator draws.
@@ -295,21 +295,15 @@ class TaskLanes:
         """Start episodes in lanes, one each: some `places` of those that :meth:`prepare` returned, or scenarios."""
         if not isinstance(episodes, PreparedEpisodes):
             episodes = self.prepare(episodes)
-        simulator = self.simulator
         # The arrays are new after a snapshot, or with more events than before.
         self._bound = None
         index = np.array(lanes, dtype=np.int64)
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
-        simulator.start(index, episodes.lanes, places=taken)
-        outputs = self.outputs
-        pairs: Iterable[tuple[Any, Any]] = zip(outputs, episodes.outputs, strict=True)
-        for array, first in pairs:
+        self.simulator.start(index, episodes.lanes, places=taken)
+        for array, first in zip(self._rows, episodes.rows, strict=True):
             array[index] = first[taken]
+        outputs = self.outputs
         outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False
-        self.scenario_seeds[index] = episodes.scenario_seeds[taken]
-        self.reserve_margins[index] = episodes.reserve_margins[taken]
-        for lane, place in zip(index.tolist(), taken.tolist(), strict=True):
-            self.events[lane] = episodes.events[place]
 
     def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
         """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""
@@ -422,27 +416,21 @@ class TaskLanes:
 
     def snapshot(self) -> LanesSnapshot:
         """Return a copy of everything that changes."""
-        return LanesSnapshot(
-            self._of_episodes,
-            self.simulator.snapshot(),
-            Outputs._make(array.copy() for array in self.outputs),
-            self.scenario_seeds.copy(),
-            self.reserve_margins.copy(),
-            list(self.events),
-        )
+        return LanesSnapshot(self._of_episodes, self.simulator.snapshot(), tuple(array.copy() for array in self._rows))
 
     def restore(self, snapshot: LanesSnapshot) -> None:
         """Go back to a :meth:`snapshot`; a ValueError refuses that of an environment with other settings."""
-        settings, physics, outputs, seeds, margins, events = snapshot
+        settings, physics, rows = snapshot
         if different := [name for name, value in self._of_episodes.items() if settings[name] != value]:
             raise ValueError(f"the snapshot is of an environment with other settings: {', '.join(different)}")
         self._bound = None
         self.simulator.restore(physics)
-        array: Any
-        for array, stored in zip(self.outputs, outputs, strict=True):
+        for array, stored in zip(self._rows, rows, strict=True):
             array[:] = stored
-        self.scenario_seeds[:], self.reserve_margins[:] = seeds, margins
-        self.events[:] = events
+
+
+def _objects(values: Sequence[Any]) -> npt.NDArray[np.object_]:
+    return np.fromiter(values, dtype=object, count=len(values))
 
 
 def paid(lanes: TaskLanes, scenarios: Sequence[Scenario]) -> Floats:

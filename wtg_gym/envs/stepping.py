@@ -84,7 +84,7 @@ def task_data(task: Task, choices: Choices, layout: Layout, n_intervals: int, po
     wanted = layout.first_rows(ACTING, "wanted")[:, np.newaxis] + np.arange(count(ACTING.scratch["wanted"]))
     return TaskData(
         wanted=wanted[:, modulated].ravel(),
-        observed=task.observed_rows(choices, layout),
+        observed=np.array([entry.row(layout) for entry in task.entries(choices)], dtype=np.int64),
         info=int(layout.first_rows(INFO, "info")[0]),
         was_active=int(layout.first_rows(TASK, "was_active")[0]),
         cost=int(layout.first_rows(COST, "cost")[0]),

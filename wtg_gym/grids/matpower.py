@@ -48,8 +48,6 @@ _FROM, _TO, _R, _X, _B, _TAP, _SHIFT, _STATUS = 0, 1, 2, 3, 4, 8, 9, 10
 _PF, _QF, _PT, _QT = 13, 14, 15, 16
 _R_ASYM, _X_ASYM, _G, _G_ASYM, _B_ASYM = 21, 22, 23, 24, 25
 _REFERENCE, _ISOLATED = 3, 4
-#: Difference between a load and what the solution takes that rounding makes [MVA].
-_NO_CHANGE_MVA = 1e-4
 
 
 def is_network(path: Path) -> bool:
@@ -238,11 +236,7 @@ def _case_of(
     taken = _taken(solved)
     for key, row in zip(keys, rows, strict=True):
         case.shunts[key] += complex(row[_GS], row[_BS]) / solved_case.BASE_MVA
-        case.loads[key] += (load := complex(row[_PD], row[_QD]))
-        if abs(taken[key] - load) > _NO_CHANGE_MVA:
-            case.loads[key] = taken[key]
-            what = f"the load at bus {numbers[key]} is no constant power (constant impedance or current)"
-            case.notes.append(f"{what}: {taken[key]:.6g} MVA are taken, not {load:.6g}")
+        case.add_load(key, f"bus {numbers[key]}", complex(row[_PD], row[_QD]), taken[key])
     for place, row in enumerate(solved["gen"]):
         key = int(row[_GEN])
         if row[_GEN_STATUS] > 0.0 and key in case.voltages:

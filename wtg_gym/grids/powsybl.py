@@ -346,12 +346,7 @@ class _Tables:
     def _add_injections(self) -> None:
         loads, shunts = self.net.get_loads(), self.net.get_shunt_compensators()
         for _, row in loads[loads["connected"] & (loads["bus_id"] != "")].iterrows():
-            taken, load = complex(row.p, row.q), complex(row.p0, row.q0)
-            if cmath.isfinite(taken) and abs(taken - load) > 1e-4:
-                what = f"the load at {row.bus_id} is no constant power"
-                self.notes.append(f"{what}: {taken:.6g} MVA are taken, not {load:.6g}")
-                load = taken
-            self.out.loads[row.bus_id] += load
+            self.out.add_load(row.bus_id, row.bus_id, complex(row.p0, row.q0), complex(row.p, row.q))
         for key, row in self.buses.iterrows():
             self.out.loads[key] += complex(row.get("fictitious_p0", 0.0), row.get("fictitious_q0", 0.0))
         for _, row in shunts[shunts["connected"] & (shunts["bus_id"] != "")].iterrows():

@@ -21,6 +21,8 @@ BASE_MVA = 100.0
 TOLERANCE = 1e-6
 #: Phase shift around a loop that counts as one [rad].
 _LEAST_SHIFT = 1e-9
+#: Difference between a load and what the solution takes that rounding makes [MVA].
+_NO_CHANGE_MVA = 1e-4
 #: Power from which on a limit means none [MW, Mvar]: files have 9900 or 9999.
 UNLIMITED = 9000.0
 
@@ -68,6 +70,14 @@ class SolvedCase:
     shunts: dict[Key, complex] = field(default_factory=lambda: defaultdict(complex))  # [p.u. of BASE_MVA]
     infeeds: list[Infeed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # what was assumed or changed
+
+    def add_load(self, bus: Key, name: Any, load: complex, taken: complex) -> None:
+        """Add the load at a bus, which is called `name` in notes, as the solution takes it [MVA]."""
+        if cmath.isfinite(taken) and abs(taken - load) > _NO_CHANGE_MVA:
+            what = f"the load at {name} is no constant power (constant impedance or current)"
+            self.notes.append(f"{what}: {taken:.6g} MVA are taken, not {load:.6g}")
+            load = taken
+        self.loads[bus] += load
 
 
 def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], notes: list[str]) -> None:
@@ -241,10 +251,8 @@ _MARGIN, _LEAST_MVA = 1.3, 50.0
 #: A large round-rotor machine; source: P. Kundur: Power System Stability and Control, table 4.2.
 _REACTANCES = dict(x_d=1.8, x_q=1.7, x_d_transient=0.3, x_q_transient=0.55, x_subtransient=0.25, x_leakage=0.15)
 _TIMES = dict(t_d0_transient_s=8.0, t_q0_transient_s=0.4, t_d0_subtransient_s=0.03, t_q0_subtransient_s=0.05)
-TYPICAL_EXCITER, TYPICAL_GOVERNOR = (
-    machine_parameters.ExciterParameters(),
-    machine_parameters.GovernorParameters(droop_pu=0.05),
-)
+TYPICAL_EXCITER = machine_parameters.ExciterParameters()
+TYPICAL_GOVERNOR = machine_parameters.GovernorParameters(droop_pu=0.05)
 
 
 def typical_machine(

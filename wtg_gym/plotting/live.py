@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.rendering.diagram import EVENT, INK, SOFT, group_colour
+from wtg_gym.envs.rendering import EVENT, INK, SOFT, group_colour
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.episodes import Episode

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wtg_gym.envs.rendering.diagram import undone
+from wtg_gym.envs.rendering import undone
 from wtg_gym.physics import layout, protection, tracking_law, trajectory
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.plotting import style

@@ -3,16 +3,13 @@
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.suite import SPLITS, FixedCase, Suite
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, FROZEN_HASHES, SUITES, get_suite, suite_of_grid
-from wtg_gym.scenarios.wind import DRAWN_WIND_RANGE, TURBULENCE_CLASSES
-from wtg_gym.scenarios.wind_csv import read_wind_csv
+from wtg_gym.scenarios.wind import read_wind_csv
 
 __all__ = [
     "DEFAULT_SUITE",
-    "DRAWN_WIND_RANGE",
     "FROZEN_HASHES",
     "SPLITS",
     "SUITES",
-    "TURBULENCE_CLASSES",
     "FixedCase",
     "ScenarioDistribution",
     "Suite",

@@ -180,7 +180,7 @@ class ScenarioDistribution(Checked):
             latest = min(latest, self.last_event_s)
         draft = draws.Draft(
             n_turbines=n_turbines,
-            case_load_mw=self._grid_data.case.load_mw,
+            load_mw=self._grid_data.case.load_mw,
             window=(min(self.first_event_s, latest), latest),
             n_samples=math.ceil(round(duration_s / scenario.SERIES_DT, 6)) + 1,
         )
@@ -205,7 +205,7 @@ def _series(
     of_noise = wind.noise_amplitude(noise.correlation_s, n_period)
     for draft in drafts:
         for mean, n_turbines in zip(draft.mean_winds_m_s, draft.n_turbines, strict=True):
-            units.append(wind.turbulence_amplitude(mean, n_turbines, n_period))
+            units.append(wind.turbulence_amplitude(round(10.0 * mean), n_turbines, n_period))
             sigmas.append(wind.ntm_sigma(mean, draft.turbulence_intensity))
         units.append(of_noise)
         sigmas.append(noise.standard_deviation_mw)

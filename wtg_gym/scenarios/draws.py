@@ -46,7 +46,6 @@ class Picker:
         return low + (high - low) * self.uniform()
 
     def chance(self, probability: float) -> bool:
-        """Return True with a probability."""
         return self.uniform() < probability
 
     def whole(self, low: int, high: int) -> int:
@@ -54,7 +53,6 @@ class Picker:
         return low + int((high - low + 1) * self.uniform())
 
     def choice(self, options: Sequence[T]) -> T:
-        """Return one of the options."""
         return options[self.whole(0, len(options) - 1)]
 
     def instant(self, window: Span) -> float:
@@ -89,7 +87,7 @@ class Draft:
     """The part of a scenario that is drawn so far; records read values of earlier ones."""
 
     n_turbines: Sequence[float]  # of each WTG group
-    case_load_mw: float  # load of the grid at load level 1 [MW]
+    load_mw: float  # of the grid, at the load level that was drawn [MW]
     window: Span  # earliest and latest instant of an event [s]
     n_samples: int  # of the wind series
     governor_droop: float | None = None
@@ -100,11 +98,6 @@ class Draft:
     mean_winds_m_s: Sequence[float] = ()
     wind_change: tuple[int | slice, Floats] | None = None  # groups that a gust or ramp reaches, and its change [m/s]
     machine_loading: float | None = None  # load that the wind leaves, over the rating of the generator's units on line
-
-    @property
-    def load_mw(self) -> float:
-        """Load of the grid at the load level that was drawn [MW]."""
-        return self.load_level * self.case_load_mw
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +141,7 @@ class OperatingPoint(Record):
         draft.governor_droop = pick.between(self.governor_droop)
         draft.inertia_scale = pick.between(self.inertia_scale)
         draft.load_level = pick.between(self.load_level)
+        draft.load_mw *= draft.load_level
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,15 +162,14 @@ class LoadEvents(Record):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for limits in self.buses:
-            for change_mw in limits[1:]:
-                require_range(f"largest load change at bus {limits[0]}", change_mw, 0.0, 1e4, "MW")
+        for bus, *changes_mw in self.buses:
+            for change_mw in changes_mw:
+                require_range(f"largest load change at bus {bus}", change_mw, 0.0, 1e4, "MW")
         numbers = [bus for bus, _, _ in self.buses]
         if not numbers or len(set(numbers)) < len(numbers):
             raise ValueError(f"LoadEvents.buses needs at least one bus, and each bus once, got {numbers}")
         if (self.trip_probability and not self.trip_buses) or not set(self.trip_buses) <= set(numbers):
             raise ValueError(f"trip_buses must be one or more of the load buses {numbers}, got {self.trip_buses}")
-        object.__setattr__(self, "buses", tuple((bus, float(up), float(down)) for bus, up, down in self.buses))
 
     def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _require_buses("LoadEvents.buses", [bus for bus, _, _ in self.buses], case.bus_numbers)

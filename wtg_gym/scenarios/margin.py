@@ -12,7 +12,6 @@ call the same sum, over seasons instead of seconds, generation adequacy.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,15 +27,6 @@ DEVIATION_HZ = 0.8
 #: Time for which the wind after an event counts [s].
 WIND_S = 30.0
 _LOSSES = 0.03
-
-
-class _Machine(NamedTuple):
-    bus: int
-    rating_mw: float
-    limit: float  # largest gate [p.u.]; 0 without a governor
-    droop: float  # [p.u.]; infinite without
-    share: float  # of the load at the start; 0 if the case has its dispatch
-    dispatch_mw: float
 
 
 class ReserveMargin:
@@ -56,17 +46,8 @@ class ReserveMargin:
         if not plant.shares_dispatch:
             governed = [m for m in governed if m.bus == case.slack_bus]
         total = sum(_size(machine) for machine in governed)
-        self._machines = [
-            _Machine(
-                m.bus,
-                m.rating_mva,
-                0.0 if m.governor is None else gate_limits(m.governor)[1],
-                math.inf if m.governor is None else m.governor.droop_pu,
-                _size(m) / total if m in governed else 0.0,
-                m.dispatch_mw,
-            )
-            for m in case.machines
-        ]
+        #: Each machine's share of the load at the start, 0 if the case has its dispatch.
+        self._shares = [_size(machine) / total if machine in governed else 0.0 for machine in case.machines]
         self._parts: dict[tuple[int, ...], list[set[int]]] = {(): [set(self._loads_mw)]}
 
     def of(self, scenario: Scenario, least: float = -math.inf) -> float:
@@ -75,10 +56,11 @@ class ReserveMargin:
         The search ends at the first instant with a margin below `least`: the least may be lower still.
         """
         wind_mw = self._at_nominal * sum(self._wind_mw(scenario, 0.0, 0.0))
-        given_mw = sum(machine.dispatch_mw for machine in self._machines if not machine.share)
+        machines = [*zip(self._case.machines, self._shares, strict=True)]
+        given_mw = sum(machine.dispatch_mw for machine, share in machines if not share)
         needed_mw = max((1.0 + _LOSSES) * scenario.load_level * self._case.load_mw - wind_mw - given_mw, 0.0)
         # The machines share what the wind leaves.
-        at_start_mw = [m.share * needed_mw if m.share else m.dispatch_mw for m in self._machines]
+        at_start_mw = [share * needed_mw if share else machine.dispatch_mw for machine, share in machines]
         margin = math.inf
         # The last instant, with most lost, decides most often.
         for time_s in sorted({0.0, *(event.time_s for event in scenario.events)}, reverse=True):
@@ -111,11 +93,11 @@ class ReserveMargin:
         wind_mw = zip(self._groups, self._wind_mw(scenario, time_s, time_s + WIND_S), strict=True)
         supplies = [(bus, power_mw) for j, ((bus, _, _), power_mw) in enumerate(wind_mw) if j not in away]
         fall = DEVIATION_HZ / self._case.frequency_hz
-        for machine, power_mw in zip(self._machines, at_start_mw, strict=True):
-            if machine.limit > 0.0 and machine.bus not in stuck:
-                rating_mw = machine.rating_mw * scenario.committed
-                raised_mw = power_mw + fall / (scenario.governor_droop or machine.droop) * rating_mw
-                power_mw = max(power_mw, min(raised_mw, machine.limit * rating_mw))
+        for machine, power_mw in zip(self._case.machines, at_start_mw, strict=True):
+            if machine.governor is not None and machine.bus not in stuck:
+                rating_mw = machine.rating_mva * scenario.committed
+                raised_mw = power_mw + fall / (scenario.governor_droop or machine.governor.droop_pu) * rating_mw
+                power_mw = max(power_mw, min(raised_mw, gate_limits(machine.governor)[1] * rating_mw))
             if machine.bus not in lost:
                 supplies.append((machine.bus, power_mw))
         opened = tuple(sorted({branch for event in past for branch in _opened(event, time_s, self._case)}))

@@ -30,16 +30,6 @@ class Places(Checked):
     governor_buses: tuple[int, ...] = ()  # of machines that may lose their governor
     group_trips: bool = True
 
-    def of_kinds(self) -> dict[str, draws.Changes]:
-        """Return where each kind of event that needs a place may happen, by its name."""
-        return {
-            "governor": {draws.GovernorLosses: {"buses": self.governor_buses}},
-            "machine": {draws.MachineOutages: {"buses": self.generator_buses}},
-            "group": {draws.GroupTrips: {"probability": float(self.group_trips)}},
-            "fault": {draws.Faults: {"lines": self.fault_lines}},
-            "island": {draws.Islandings: {"line_sets": self.islandings}},
-        }
-
 
 #: Records that scenarios of version v1 are drawn from, in this order; strata, kinds and suites replace some fields.
 COMMON: draws.Changes = {
@@ -259,7 +249,14 @@ def suite_of_strata(
         draws.MachineOutages: {"buses": places.machine_buses},
         draws.UnitCommitment: {"generator_mva": governed_mva(settings), "constant_mw": constant_mw(settings)},
     }
-    where = places.of_kinds()
+    #: Of the kinds of event that need a place.
+    where: dict[str, draws.Changes] = {
+        "governor": {draws.GovernorLosses: {"buses": places.governor_buses}},
+        "machine": {draws.MachineOutages: {"buses": places.generator_buses}},
+        "group": {draws.GroupTrips: {"probability": float(places.group_trips)}},
+        "fault": {draws.Faults: {"lines": places.fault_lines}},
+        "island": {draws.Islandings: {"line_sets": places.islandings}},
+    }
     kinds = {}
     for kind, of_kind in KINDS.items():
         of_place = where.get(kind, {})

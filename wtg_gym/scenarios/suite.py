@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.physics.grid import DEFAULT_GRID
-from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import did_you_mean, is_whole, require_whole
@@ -28,9 +28,6 @@ SPLITS = ("train", "validation", "test")
 MOST_SCENARIOS = 10_000
 #: Scenarios of a seed that are drawn at most until one has the reserve margin of its stratum.
 _MOST_ATTEMPTS = 1000
-_TRAIN_SEEDS = range(1_000_000, 2**31)
-_VALIDATION_SEEDS = range(10_000, 10_100)
-_TEST_SEEDS = range(20_000, 20_200)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,9 +63,9 @@ class Suite:
     #: turn, from a seed's own on, until a scenario falls in it.
     margins: Mapping[str, Span] = field(default_factory=dict)
     cases: tuple[FixedCase, ...] = ()  # the fixed ones, case i having the seed i in every split
-    train: range = _TRAIN_SEEDS  # seeds to train on
-    validation: range = _VALIDATION_SEEDS  # to select on
-    test: range = _TEST_SEEDS  # to rank on
+    train: range = range(1_000_000, 2**31)  # seeds to train on
+    validation: range = range(10_000, 10_100)  # to select on
+    test: range = range(20_000, 20_200)  # to rank on
 
     def __post_init__(self) -> None:
         if bool(self.drawn_from) == bool(self.cases):
@@ -180,7 +177,12 @@ class Suite:
         duration = self.duration_s if duration_s is None else duration_s
         if n_wtg is None:
             n_wtg = len(self.plant.groups)
-            n_turbines = [_default_turbines(group) for group in self.plant.groups] if n_turbines is None else n_turbines
+            if n_turbines is None:
+                # As many of the default turbines as give what a group's own do.
+                rated_mw, groups = TurbineParameters().rated_power_mw, self.plant.groups
+                n_turbines = [
+                    g.n_turbines * (g.turbine.rated_power_mw / rated_mw if g.turbine else 1.0) for g in groups
+                ]
         if self.drawn_from:
             if plant is None and n_wtg != len(self.plant.groups):
                 plant = self.plant.replaced(groups=n_wtg)
@@ -203,10 +205,11 @@ class Suite:
         duration_s: float,
         margins: ReserveMargin,
     ) -> list[Scenario]:
-        # Episodes shorter than the suite's may end before any event can leave so little: then the last draw counts.
         accepted: dict[int, Scenario] = {}
         missing = list(range(len(seeds)))
         for attempt in range(_MOST_ATTEMPTS):
+            # Episodes shorter than the suite's may end before any event can leave so little: then the last draw counts.
+            takes_any = attempt == _MOST_ATTEMPTS - 1 and duration_s < self.duration_s
             by_distribution: dict[str, list[int]] = {}
             for place in missing:
                 by_distribution.setdefault(self._distribution(seeds[place], attempt).name, []).append(place)
@@ -214,10 +217,7 @@ class Suite:
                 of_places = [seeds[place] for place in places]
                 distribution = self._distribution(of_places[0], attempt)
                 drawn = distribution.draw_many(of_places, n_wtg, n_turbines, duration_s, attempt)
-                if attempt == _MOST_ATTEMPTS - 1 and duration_s < self.duration_s:
-                    last = [_with(scenario, reserve_margin=margins.of(scenario)) for scenario in drawn]
-                    accepted.update(zip(places, last, strict=True))
-                suited = zip(places, (self._suits(scenario, margins) for scenario in drawn), strict=True)
+                suited = zip(places, (self._suited(scenario, margins, takes_any) for scenario in drawn), strict=True)
                 accepted.update((place, scenario) for place, scenario in suited if scenario is not None)
             missing = [place for place in missing if place not in accepted]
             if not missing:
@@ -228,15 +228,15 @@ class Suite:
             f"stratum {self.stratum(seed)!r}, {self.margins[self.stratum(seed)]}"
         )
 
-    def _suits(self, scenario: Scenario, margins: ReserveMargin) -> Scenario | None:
-        """Return a drawn scenario with its margin, None where that is not one of its stratum."""
+    def _suited(self, scenario: Scenario, margins: ReserveMargin, takes_any: bool) -> Scenario | None:
+        """Return a drawn scenario with its margin, None where that is not one of its stratum and must be."""
         if not self.margins:
             return scenario
         assert scenario.seed is not None
         # A stratum of a user's own need not have a range.
         low, high = self.margins.get(self.stratum(scenario.seed), (-math.inf, math.inf))
-        margin = margins.of(scenario, low)
-        return _with(scenario, reserve_margin=margin) if low <= margin < high else None
+        margin = margins.of(scenario, -math.inf if takes_any else low)
+        return _with(scenario, reserve_margin=margin) if takes_any or low <= margin < high else None
 
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
@@ -280,12 +280,6 @@ class Suite:
 
 def _with(scenario: Scenario, **values: Any) -> Scenario:
     return trusted(Scenario, **{**vars(scenario), **values})
-
-
-def _default_turbines(group: WtgGroup) -> float:
-    """Return how many of the default turbines give what a group's own do."""
-    ratio = group.turbine.rated_power_mw / TurbineParameters().rated_power_mw if group.turbine else 1.0
-    return group.n_turbines * ratio
 
 
 def _decimal(value: float) -> str:

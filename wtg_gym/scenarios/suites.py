@@ -25,14 +25,6 @@ def _paper_cases(wind_speed_m_s: tuple[float, float], increase_mw: float) -> tup
     )
 
 
-_PAPER = Suite(
-    name="paper",
-    description="The two cases of the paper: 75 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
-    duration_s=120.0,
-    cases=_paper_cases((11.4, 8.0), 75.0),
-)
-
-
 def _drawn(name: str, description: str, changes: draws.Changes = MappingProxyType({})) -> Suite:
     distribution = ScenarioDistribution(name=name).changed(changes)
     return Suite(name=name, description=description, duration_s=60.0, drawn_from={"": (distribution,)})
@@ -73,18 +65,14 @@ _FAULTS: draws.Changes = {
     draws.MachineOutages: {"probability": 0.4},
     draws.Faults: {"probability": 0.3, "lines": _FAULT_LINES},
 }
-_PAPER_V1 = Suite(
-    name="paper-v1",
-    description="The paper's cases in this grid: 35 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
-    duration_s=120.0,
-    task=V1,
-    sensors=draws.SensorDistribution(),
-    cases=_paper_cases((11.0, 9.0), 35.0),
-    **_WIND_PLANT,
-)
 
 _SUITES = (
-    _PAPER,
+    Suite(
+        name="paper",
+        description="The two cases of the paper: 75 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
+        duration_s=120.0,
+        cases=_paper_cases((11.4, 8.0), 75.0),
+    ),
     _drawn("standard", "Medium wind, one to three load events, grids from weak to strong."),
     _drawn(
         "low-wind",
@@ -195,7 +183,15 @@ _SUITES = (
             },
         },
     ),
-    _PAPER_V1,
+    Suite(
+        name="paper-v1",
+        description="The paper's cases in this grid: 35 MW more at buses 2 and 3; the loads of buses 4 and 9 lost.",
+        duration_s=120.0,
+        task=V1,
+        sensors=draws.SensorDistribution(),
+        cases=_paper_cases((11.0, 9.0), 35.0),
+        **_WIND_PLANT,
+    ),
     # Without events that no law survives in simulation.
     *(grid_suite.read_suite(path).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
 )

@@ -1,4 +1,6 @@
-"""Wind as a WTG group feels it: turbulence averaged over rotor and group, gusts and ramps; the noise of the load.
+"""Wind as a WTG group feels it: turbulence averaged over rotor and group, gusts and ramps, or measured wind.
+
+With it the noise of the load.
 
 The averages over the rotor's disk and over the turbines of a group follow from one coherence function, that of
 IEC 61400-1 ed. 3, annex B; both are filters |H(f)|² on the Kaimal spectrum.
@@ -7,22 +9,24 @@ Everywhere here frequencies and instants are of any shape [Hz, s], and the mean 
 """
 
 import math
+import os
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from scipy.fft import next_fast_len
 
+from wtg_gym.files import interpreting, read_bytes
 from wtg_gym.physics import aerodynamics, scenario
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.parameters import MOST_GROUPS, GridFormingParameters, TurbineParameters
+from wtg_gym.ranges import require_count, require_range
 
 #: Longitudinal turbulence scale Λ1 for hub heights of 60 m and more [m] (IEC 61400-1 ed. 3, eq. 5).
 TURBULENCE_SCALE_M = 42.0
 #: Integral length scale of the Kaimal spectrum, and coherence scale L_c, both 8.1 Λ1 [m] (annex B).
 LENGTH_SCALE_M = 8.1 * TURBULENCE_SCALE_M
-#: Reference turbulence intensity at 15 m/s per turbulence class (IEC 61400-1 ed. 3, table 1).
-TURBULENCE_CLASSES = {"A": 0.16, "B": 0.14, "C": 0.12}
 #: Rotor radius [m].
 ROTOR_RADIUS_M = TurbineParameters().blade_radius_m
 #: Distance between the turbines of a group: seven rotor diameters [m].
@@ -32,15 +36,12 @@ GUST_DURATION_S = 10.5
 #: Drawn wind is clipped into this range, inside cut-in and cut-out [m/s].
 DRAWN_WIND_RANGE = (4.0, 20.0)
 
-_COHERENCE_DECAY = 12.0
-_COHERENCE_OFFSET = 0.12
-
 
 def ntm_sigma(mean_wind_m_s: float, turbulence_intensity: float) -> float:
     """Return the standard deviation of the normal turbulence model at hub height [m/s].
 
-    The intensity is the reference one I_ref at 15 m/s [-], see `TURBULENCE_CLASSES`. Source: IEC 61400-1 ed. 3, eq. 11,
-    sigma = I_ref (0.75 U + 5.6 m/s).
+    The intensity is the reference one I_ref at 15 m/s [-]: 0.16, 0.14 and 0.12 in the classes A, B and C. Source:
+    IEC 61400-1 ed. 3, table 1 and eq. 11, sigma = I_ref (0.75 U + 5.6 m/s).
     """
     return turbulence_intensity * (0.75 * mean_wind_m_s + 5.6)
 
@@ -59,7 +60,7 @@ def coherence_decay(frequency_hz: Floats, mean_wind_m_s: float) -> Floats:
 
     Source: IEC 61400-1 ed. 3, annex B, eq. B.16.
     """
-    return _COHERENCE_DECAY * np.hypot(frequency_hz / mean_wind_m_s, _COHERENCE_OFFSET / LENGTH_SCALE_M)
+    return 12.0 * np.hypot(frequency_hz / mean_wind_m_s, 0.12 / LENGTH_SCALE_M)
 
 
 @lru_cache(maxsize=1)
@@ -121,7 +122,11 @@ def spectrum_amplitude(spectrum: Floats, n_period: int) -> Floats:
 
 
 @lru_cache(maxsize=4096)
-def _tabulated_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> Floats:
+def turbulence_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> Floats:
+    """Return the scale of the coefficients of rotor-effective, group-averaged turbulence, of 1 m/s at a point.
+
+    The mean wind is a whole number of tenths [0.1 m/s], so that the spectrum is worked out for few of them.
+    """
     mean = 0.1 * mean_tenth_m_s
     frequency = resolved_frequencies(n_period)
     spectrum = kaimal_spectrum(frequency, mean, 1.0)
@@ -130,14 +135,6 @@ def _tabulated_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) 
     amplitude[[0, -1]] = 0.0
     amplitude.setflags(write=False)
     return amplitude
-
-
-def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int) -> Floats:
-    """Return the scale of the coefficients of rotor-effective, group-averaged turbulence, of 1 m/s at a point.
-
-    The shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
-    """
-    return _tabulated_amplitude(round(10.0 * mean_wind_m_s), n_turbines, n_period)
 
 
 def extreme_operating_gust(time_s: Floats, start_s: float, size_m_s: float) -> Floats:
@@ -197,3 +194,96 @@ def noise_decay(correlation_s: float, n_samples: int) -> Floats:
     decay: Floats = np.exp(-scenario.SERIES_DT / correlation_s * np.arange(n_samples))
     decay.setflags(write=False)
     return decay
+
+
+#: Time step of a measured series [s].
+_STEP_RANGE_S = (1e-3, 3600.0)
+#: As many as a day has tenths of a second.
+_MOST_ROWS = 864_001
+#: Rounded time stamps (0.033, 0.067, 0.100 s) are still uniform; a missing row is a deviation of 100 %.
+_STEP_TOLERANCE = 0.05
+_FORMAT = "time_s,wind_1_m_s,wind_2_m_s,… (time [s] first, then one column of wind speed [m/s] per WTG group)"
+
+
+def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = None) -> tuple[Floats, float]:
+    """Return wind speeds (n_wtg, n_samples) [m/s] and their time step [s] from a CSV file, ready for a `Scenario`.
+
+    The file is UTF-8, has a header and a uniform time step: `time_s` first, then one column per WTG group of any name
+    [m/s]. The series is cut to `duration_s`, None takes all [s]. A ValueError names file, line, value and what is
+    allowed.
+    """
+    raw = read_bytes(Path(path), "wind series")
+    with interpreting(Path(path), "wind series"):
+        return _parse(raw, duration_s)
+
+
+def _parse(raw: bytes, duration_s: float | None) -> tuple[Floats, float]:
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line, bad = raw.count(b"\n", 0, error.start) + 1, raw[error.start]
+        raise ValueError(f"line {line}: byte 0x{bad:02x} is not UTF-8; expected text: {_FORMAT}") from error
+    text = text.rstrip()
+    require_count("the table", text.count("\n"), _MOST_ROWS)
+    first, *lines = text.split("\n")
+    require_count("line 1", first.count(",") + 1, MOST_GROUPS + 1)
+    header = _cells(first)
+    if header[0] != "time_s" or len(header) < 2:
+        raise ValueError(f"line 1: the header is {first[:80]!r} or empty; expected: {_FORMAT}")
+    if len(lines) < 2:
+        raise ValueError(f"{len(lines)} data row(s) after the header, at least 2 are needed")
+    values = np.array([_numbers(f"line {number}", header, line) for number, line in enumerate(lines, start=2)])
+    dt_s = _uniform_step(values[:, 0])
+    wind = np.ascontiguousarray(values[:, 1:].T)
+    if duration_s is None:
+        return wind, dt_s
+    duration_s = require_range("duration_s", duration_s, dt_s, 1e9, "s")
+    n_samples = math.ceil(duration_s / dt_s - 1e-6) + 1
+    if n_samples > len(lines):
+        raise ValueError(
+            f"line {len(lines) + 1}: the series ends after {(len(lines) - 1) * dt_s:g} s, "
+            f"at least {duration_s:g} s ({n_samples} rows of {dt_s:g} s) are needed"
+        )
+    return wind[:, :n_samples].copy(), dt_s
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.split(",")]
+
+
+def _numbers(where: str, header: list[str], line: str) -> list[float]:
+    cells = _cells(line)
+    if len(cells) != len(header):
+        raise ValueError(f"{where}: {len(cells)} cells, the header has {len(header)}: {line[:80]!r}")
+    low, high = scenario.WIND_SPEED_RANGE
+    numbers: list[float] = []
+    for name, text in zip(header, cells, strict=True):
+        try:
+            # Python reads 1_0 as ten; in a table it is a typing error.
+            number = float("not a number" if "_" in text else text)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number) or (numbers and not low <= number <= high):
+            allowed = f"wind speeds of {low:g} … {high:g} m/s" if numbers else "finite times in s"
+            shown = f"{text[:40]!r}" if text else "an empty cell"
+            raise ValueError(f"{where}, column {name!r}: {shown} is none of the allowed {allowed}")
+        numbers.append(number)
+    return numbers
+
+
+def _uniform_step(time_s: Floats) -> float:
+    """Return the mean time step, or raise a ValueError that names the first line where the step is another one."""
+    # Times such as 1e308 give steps that are not finite, which are refused below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.diff(time_s)
+        usual = float(np.median(steps))
+        wrong = np.flatnonzero(~(np.abs(steps - usual) <= _STEP_TOLERANCE * abs(usual)))
+    low, high = _STEP_RANGE_S
+    if not low <= usual <= high or wrong.size:
+        row = int(wrong[0]) + 1 if wrong.size else 1
+        reason = "time does not increase" if steps[row - 1] <= 0.0 else "gap or change of step in time"
+        raise ValueError(
+            f"line {row + 2}: {reason}: time_s goes from {time_s[row - 1]:g} to {time_s[row]:g} s; "
+            f"the step must be uniform ({usual:g} s in most rows) and within {low:g} … {high:g} s"
+        )
+    return float((time_s[-1] - time_s[0]) / (len(time_s) - 1))

@@ -199,13 +199,11 @@ def start_largest_deviation(coi: float) -> float:
 
 @system(MACHINE_COST, "largest_deviation")
 def compare_machine(state: MachineState, inputs: MachineInput, largest_deviation: float) -> float:
-    """Compare a machine that is connected."""
     return max(largest_deviation, inputs.connected * abs(state.speed - 1.0))
 
 
 @system(GROUP_COST, "largest_deviation")
 def compare_group(state: WtgState, inputs: WtgInput, output: WtgOutput, largest_deviation: float) -> float:
-    """Compare a WTG group that is connected."""
     return max(largest_deviation, inputs.connected * abs(frequency_of(state, output) - 1.0))
 
 
@@ -245,7 +243,6 @@ def _deviations(
 
 @system(GROUP_COST, "deviations")
 def find_deviations(state: WtgState, output: WtgOutput, turbine: Turbine, task: TaskConstants) -> GroupDeviations:
-    """Find the deviations of a WTG group at its own frequency."""
     return _deviations(frequency_of(state, output), state, output, turbine, task)
 
 

@@ -87,7 +87,7 @@ TASK = Kind(
     },
     constants={"task": TaskConstants},
     sees={"lane": LANE},
-    conditions=("modulates k", "modulates tau", "privileged"),
+    conditions=("modulates k", "modulates tau", "privileged", "observes exactly"),
 )
 #: The frequency of the centre of inertia at the ends of the latest control intervals, the oldest first.
 HISTORY = Kind(name="history", rows={"frequency": float})
@@ -121,7 +121,6 @@ def act_on_tau(wanted_on_tau: float, base_inv_tau: float, task: TaskConstants) -
 
 @system(TASK, "was_active")
 def note_active(active: float) -> float:
-    """Remember whether a lane runs."""
     return active
 
 
@@ -166,7 +165,6 @@ def rate_of_change(
 def remember_group(
     group: GroupRows, state: WtgState, output: WtgOutput, was_active: float, task: TaskConstants
 ) -> GroupRows:
-    """Remember a group's frequency and actions."""
     ran, speed = was_active > 0.5, frequency_of(state, output)
     change = (speed - group.last_speed) / task.control_dt
     return group._replace(

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.sensors import Measurement
 from wtg_gym.physics.units import LANE
 from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.physics.wtg_unit import GROUPS
@@ -35,17 +36,22 @@ def bounded(observation: T) -> T:
     return clipped
 
 
-def scaled_ratio(rotor_speed: float, wind: float, c: Rotor) -> float:
-    ratio = tip_speed_ratio(rotor_speed, wind, c)
-    return (ratio - c.tip_speed_ratio_opt) / (c.tip_speed_ratio_limit - c.tip_speed_ratio_opt)
+def exact_measurement(state: WtgState, output: WtgOutput, group: GroupRows) -> Measurement:
+    """Return what a WTG group would measure without errors."""
+    return Measurement(frequency_of(state, output), group.rocof, state.rotor_speed, output.power, output.wind)
 
 
-def scaled_rotor_speed(rotor_speed: float) -> float:
-    return (rotor_speed - 1.0) / ROTOR_SPEED_UNIT_PU
-
-
-def scaled_wind(wind: float) -> float:
-    return (wind - 10.0) / 5.0
+def shown(m: Measurement, rotor: Rotor, task: TaskConstants) -> tuple[float, float, float, float, float, float]:
+    """Return a measurement in the units of observations, in the order of their first six entries."""
+    ratio, best = tip_speed_ratio(m.rotor_speed, m.wind, rotor), rotor.tip_speed_ratio_opt
+    return (
+        (m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+        m.rocof,
+        (ratio - best) / (rotor.tip_speed_ratio_limit - best),
+        (m.rotor_speed - 1.0) / ROTOR_SPEED_UNIT_PU,
+        m.power,
+        (m.wind - 10.0) / 5.0,
+    )
 
 
 def of_groups(observation: npt.NDArray[Any], record: type[R], action_mode: str) -> R:
@@ -95,49 +101,26 @@ OBSERVED_DUTY = Kind(
 )
 
 
-def exact_observation(
+@system(OBSERVED, "observed", when="observes exactly")
+def observe_group(
     state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, reach: Reach, task: TaskConstants
 ) -> WtgObservation:
-    """Return the exact observation of a WTG group."""
     return bounded(
         WtgObservation(
-            frequency_deviation=(frequency_of(state, output) - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
-            rocof=group.rocof,
-            tip_speed_ratio=scaled_ratio(state.rotor_speed, output.wind, turbine.rotor),
-            rotor_speed=scaled_rotor_speed(state.rotor_speed),
-            power=output.power,
-            wind=scaled_wind(output.wind),
+            *shown(exact_measurement(state, output, group), turbine.rotor, task),
             coefficient=(output.coefficient - reach.k_low) / reach.k_span,
             filter_state=state.converter.filter * task.nominal_hz / FREQUENCY_UNIT_HZ,
         )
     )
 
 
-@system(OBSERVED, "observed")
-def observe_group(
-    state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, reach: Reach, task: TaskConstants
-) -> WtgObservation:
-    """Observe a WTG group exactly."""
-    return exact_observation(state, output, group, turbine, reach, task)
-
-
-@system(OBSERVED, "observed", when="privileged")
-def observe_group_if_privileged(
-    state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, reach: Reach, task: TaskConstants
-) -> WtgObservation:
-    """Observe a WTG group exactly, beside what its sensors say."""
-    return exact_observation(state, output, group, turbine, reach, task)
-
-
 @system(OBSERVED, "shown_actions")
 def show_actions(group: GroupRows) -> ActionObservation:
-    """Return the last actions of a WTG group."""
     return ActionObservation(group.last_action_k, group.last_action_tau)
 
 
 @system(OBSERVED_DUTY, "shown_duty")
 def show_duty(filtered_mean_duty: float) -> DutyObservation:
-    """Return the duty error that is charged."""
     return bounded(DutyObservation(filtered_mean_duty))
 
 
@@ -174,7 +157,6 @@ OBSERVED_MACHINES = Kind(
 def observe_machine(
     state: MachineState, output: MachineOutput, machine: Machine, task: TaskConstants
 ) -> MachineObservation:
-    """Return the observation of a synchronous machine."""
     return bounded(
         MachineObservation(
             speed=(state.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
@@ -186,13 +168,11 @@ def observe_machine(
 
 @system(OBSERVED_GRID, "total_torque")
 def start_torque() -> float:
-    """Start the sum of the torques of all machines."""
     return 0.0
 
 
 @system(OBSERVED_MACHINES, "total_torque")
 def add_torque(total_torque: float, output_torque: float) -> float:
-    """Add the torque of a machine."""
     return total_torque + output_torque
 
 
@@ -200,7 +180,6 @@ def add_torque(total_torque: float, output_torque: float) -> float:
 def observe_grid(
     coi: float, task_rocof: float, total_torque: float, inv_torque: float, task: TaskConstants
 ) -> GridObservation:
-    """Return the observation of the grid."""
     return bounded(
         GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, task_rocof, inv_torque * total_torque)
     )
@@ -257,5 +236,4 @@ def inform(
 
 @system(INFO, "local_info", when="extended")
 def inform_of_places(worst: float, shed_energy: float, base_mva: float, task: TaskConstants) -> LocalInfo:
-    """Return the further numbers of `info`, in extended physics."""
     return LocalInfo(task.nominal_hz * worst, base_mva * shed_energy)

@@ -9,12 +9,12 @@ from typing import Annotated, NamedTuple
 from wtg_gym.physics import sensors as equations
 from wtg_gym.physics.sensors import Noise, SensorInput, SensorState
 from wtg_gym.physics.units import LANE
-from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.systems import Kind, each, system
 from wtg_gym.tasks.episode import ACTING, TASK, GroupRows, TaskConstants
-from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, bounded, scaled_ratio, scaled_rotor_speed, scaled_wind
+from wtg_gym.tasks.observation import bounded, exact_measurement, shown
 
 
 class MeasuredObservation(NamedTuple):
@@ -59,29 +59,22 @@ def n_delayed(control_dt: float) -> int:
     return math.ceil(equations.DELAY_MAX_S / control_dt - 1e-9) + 1
 
 
-def _exact(state: WtgState, output: WtgOutput, group: GroupRows) -> equations.Measurement:
-    """Return what a WTG group would measure without errors."""
-    return equations.Measurement(frequency_of(state, output), group.rocof, state.rotor_speed, output.power, output.wind)
-
-
 @system(SENSED, "noise")
 def draw_noise(sensor_input: SensorInput, interval: float, group_number: float) -> Noise:
-    """Draw the random numbers of the present interval's measurements."""
     return equations.drawn(sensor_input.seed, interval, group_number)
 
 
 @system(SENSED, "sensors")
 def start_sensors(state: WtgState, output: WtgOutput, group: GroupRows, noise: Noise) -> SensorState:
     """Begin a run with what is measured first."""
-    return equations.sensors_started(_exact(state, output, group), noise)
+    return equations.sensors_started(exact_measurement(state, output, group), noise)
 
 
 @system(SENSED, "sensors")
 def advance_sensors(
     sensors: SensorState, state: WtgState, output: WtgOutput, group: GroupRows, noise: Noise, sensor_input: SensorInput
 ) -> SensorState:
-    """Move filters and slow errors on to the end of a control interval."""
-    return equations.sensors_advanced(sensors, _exact(state, output, group), noise, sensor_input)
+    return equations.sensors_advanced(sensors, exact_measurement(state, output, group), noise, sensor_input)
 
 
 @system(SENSED, "seen")
@@ -97,17 +90,10 @@ def measure_group(
     task: TaskConstants,
 ) -> MeasuredObservation:
     """Take the measurement of a WTG group; without a wind sensor, wind and ratio are 0."""
-    m = equations.measured(sensors, _exact(state, output, group), wind_bias, noise, sensor_input)
-    return bounded(
-        MeasuredObservation(
-            frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
-            rocof=m.rocof,
-            tip_speed_ratio=sensor_input.wind_sensor * scaled_ratio(m.rotor_speed, m.wind, turbine.rotor),
-            rotor_speed=scaled_rotor_speed(m.rotor_speed),
-            power=m.power,
-            wind=sensor_input.wind_sensor * scaled_wind(m.wind),
-        )
-    )
+    exact, has_wind = exact_measurement(state, output, group), sensor_input.wind_sensor
+    measured = equations.measured(sensors, exact, wind_bias, noise, sensor_input)
+    frequency, rocof, ratio, speed, power, wind = shown(measured, turbine.rotor, task)
+    return bounded(MeasuredObservation(frequency, rocof, has_wind * ratio, speed, power, has_wind * wind))
 
 
 @system(KEPT, "measurement", "shown")
@@ -139,5 +125,4 @@ def shift_measurements(
 def keep_measurement(
     seen: MeasuredObservation, shown: MeasuredObservation, delay: float
 ) -> tuple[MeasuredObservation, MeasuredObservation]:
-    """Keep what is measured now."""
     return seen, _either(delay == 0.0, seen, shown)

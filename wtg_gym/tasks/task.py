@@ -1,7 +1,8 @@
 """A task: actions, costs and observations of an environment, and the scale of its score."""
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, get_type_hints
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 
 from wtg_gym.physics import grid, integration, tracking_law
-from wtg_gym.physics.layout import Layout, Whole
+from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.plant import Plant, TaskUnits
 from wtg_gym.systems import routines, systems
 from wtg_gym.systems.programs import Program, in_one_table
@@ -33,14 +34,18 @@ class Choices(NamedTuple):
     privileged: bool
 
 
-class Entries(NamedTuple):
-    """Entries of an observation that are neighbours: a record of one unit."""
+class Entry(NamedTuple):
+    """An entry of an observation: a number of a record of one unit."""
 
+    name: str  # with the unit of measurement that it is counted in
     kind: systems.Kind
-    part: str
+    part: str  # the record
     unit: int
-    prefix: str  # before the names of the record's fields
-    fields: tuple[str, ...]  # those of the record that are observed
+    place: int  # in the record
+
+    def row(self, layout: Layout) -> int:
+        """Return its row in scratch."""
+        return int(layout.first_rows(self.kind, self.part)[self.unit]) + self.place
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -117,19 +122,13 @@ class Task:
     def to_dict(self) -> dict[str, Any]:
         """Return what hashes of suites hold of the task, as JSON-ready data."""
         defaults = cost.CostWeights()._asdict()
+        as_named = "version k_authority tau_authority control_dt interval_s duty_time_s on_failure anchors"
         return {
-            "version": self.version,
-            "k_authority": self.k_authority,
-            "tau_authority": self.tau_authority,
-            "control_dt": self.control_dt,
-            "interval_s": self.interval_s,
+            **{name: getattr(self, name) for name in as_named.split()},
             "sensed": self.has_sensors,
-            "duty_time_s": self.duty_time_s,
-            "on_failure": self.on_failure,
             "charges_worst": self.failure_costs_whole_episode,
             "cost_offsets": dict(self.cost_offsets),
             "weights": {name: value for name, value in self.weights._asdict().items() if value != defaults[name]},
-            "anchors": self.anchors,
         }
 
     @cached_property
@@ -155,6 +154,7 @@ class Task:
         older, newer = (kept.reshape(-1, n_kept)[:, columns].ravel() for columns in (slice(-1), slice(1, None)))
         modulated = dict(zip(("modulates k", "modulates tau"), episode.ACTION_MODES[choices.action_mode], strict=True))
         conditions = {**modulated, "privileged": choices.privileged}
+        conditions["observes exactly"] = choices.privileged or not self.has_sensors
         act, charge, start_sensors, measure, observe, end = _routines_of(self.programs)
         return TaskUnits(
             n_units={
@@ -195,7 +195,10 @@ class Task:
             constants={
                 (episode.TASK, "task"): [self._constants(choices)],
                 (cost.COST, "weights"): [choices.weights],
-                (episode.ACTING, "reach"): self._reaches(plant),
+                (episode.ACTING, "reach"): [
+                    episode.Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max)
+                    for law in tracking_law.group_laws(tracking_law.REFERENCE_STRATEGY, plant.turbines, plant.control)
+                ],
                 (OBSERVED_GRID, "inv_torque"): [_inv_torque(plant)],
                 (SENSED, "group_number"): range(n_wtg),
                 (KEPT_SHIFTS, "age"): n_kept - 1 - (older % n_kept),
@@ -224,60 +227,28 @@ class Task:
             tau_authority=self.tau_authority,
         )
 
-    def _reaches(self, plant: Plant) -> list[episode.Reach]:
-        """Return what each group's turbine decides."""
-        laws = tracking_law.group_laws(tracking_law.REFERENCE_STRATEGY, plant.turbines, plant.control)
-        return [
-            episode.Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws
-        ]
-
-    def entries(self, choices: Choices) -> list[Entries]:
-        """Return the entries of an observation: groups, then what is privileged, then devices."""
-        n_wtg, modulated = len(choices.plant.groups), episode.ACTION_MODES[choices.action_mode]
-        actions = tuple(name for name, used in zip(_fields(OBSERVED, "shown_actions"), modulated, strict=True) if used)
-        machines = range(len(choices.plant.case.machines))
-
-        def entry(kind: systems.Kind, part: str, unit: int, prefix: str) -> Entries:
-            return Entries(kind, part, unit, prefix, _fields(kind, part))
-
-        entries = []
-        for j in range(n_wtg):
-            kind, part, prefix = self.of_groups
-            entries.append(entry(kind, part, j, f"{prefix}{j}"))
-            entries.append(Entries(OBSERVED, "shown_actions", j, f"{prefix}{j}", actions))
-        if choices.privileged:
-            entries += [
-                entry(kind, part, j, f"{prefix}{j}") for j in range(n_wtg) for kind, part, prefix in self.privileged
-            ]
-            entries += [entry(OBSERVED_MACHINES, "machine_observed", i, f"sync{i}") for i in machines]
-            entries.append(entry(OBSERVED_GRID, "grid_observed", 0, "grid"))
-        for device in choices.plant.devices:
-            if device.shown is not None:
-                kind = device.kind
-                entries += [entry(kind, device.shown, j, f"{kind.name}{j}") for j in range(len(device.buses))]
-        return entries
-
-    def observation_names(self, choices: Choices) -> list[str]:
-        """Return the names of the observation's entries, with the unit each is counted in.
+    def entries(self, choices: Choices) -> list[Entry]:
+        """Return the entries of an observation: groups, then what is privileged, then devices.
 
         `wtg0` is group 1 of commands and pictures. With sensors a group has what they say; the privileged part then
         begins with the exact values, as "exact0" and so on, and the duty error that is charged.
         """
-        names = []
-        for entries in self.entries(choices):
-            hints = get_type_hints(entries.kind.scratch[entries.part], include_extras=True)
-            for name in entries.fields:
-                unit = getattr(hints[name], "__metadata__", None)
-                names.append(f"{entries.prefix}.{name}" + (f" [{unit[0]}]" if unit else ""))
-        return names
-
-    def observed_rows(self, choices: Choices, layout: Layout) -> Whole:
-        """Return the rows in scratch of the observation's entries, in the order of their names (n_observation,)."""
-        rows: list[int] = []
-        for kind, part, unit, _, fields in self.entries(choices):
-            first = int(layout.first_rows(kind, part)[unit])
-            rows += [first + _fields(kind, part).index(name) for name in fields]
-        return np.array(rows, dtype=np.int64)
+        entries: list[Entry] = []
+        for j in range(len(choices.plant.groups)):
+            entries += _entries(self.of_groups, j)
+            actions = _entries((OBSERVED, "shown_actions", self.of_groups[2]), j)
+            entries += itertools.compress(actions, episode.ACTION_MODES[choices.action_mode])
+        if choices.privileged:
+            for j in range(len(choices.plant.groups)):
+                entries += (entry for shown in self.privileged for entry in _entries(shown, j))
+            for i in range(len(choices.plant.case.machines)):
+                entries += _entries((OBSERVED_MACHINES, "machine_observed", "sync"), i)
+            entries += _entries((OBSERVED_GRID, "grid_observed", "grid"), None)
+        for device in choices.plant.devices:
+            if device.shown is not None:
+                shown = device.kind, device.shown, device.kind.name
+                entries += (entry for j in range(len(device.buses)) for entry in _entries(shown, j))
+        return entries
 
 
 #: The first task of each version: the one of the benchmark.
@@ -293,9 +264,13 @@ def _of_version(version: str) -> Task:
     return _FIRST[version]
 
 
-def _fields(kind: systems.Kind, part: str) -> tuple[str, ...]:
-    names: tuple[str, ...] = kind.scratch[part]._fields
-    return names
+def _entries(shown: Shown, unit: int | None) -> Iterator[Entry]:
+    """Yield the entries that a unit shows; of a kind with one unit, which has no number, with None."""
+    kind, part, letters = shown
+    prefix = letters if unit is None else f"{letters}{unit}"
+    for place, (name, hint) in enumerate(get_type_hints(kind.scratch[part], include_extras=True).items()):
+        counted_in = "".join(f" [{text}]" for text in getattr(hint, "__metadata__", ())[:1])
+        yield Entry(f"{prefix}.{name}{counted_in}", kind, part, unit or 0, place)
 
 
 def _inv_torque(plant: Plant) -> float:

@@ -7,7 +7,10 @@ from wtg_gym.tasks import cost, episode, observation, sensing, task
 #: What both versions do.
 _ACT = (episode.act_on_k, episode.act_on_tau, episode.note_active)
 _CHARGE_FREQUENCY = (episode.count_interval, episode.shift_history, episode.rate_of_change, cost.charge_frequency)
-_OBSERVE_GRID = (
+_OBSERVE = (
+    observation.observe_group,
+    observation.show_actions,
+    observation.show_duty,
     observation.observe_machine,
     observation.start_torque,
     observation.add_torque,
@@ -30,7 +33,7 @@ V0 = task.Task(
         cost.charge_interval,
         cost.charge_lane,
     ),
-    observe=(observation.observe_group, observation.show_actions, *_OBSERVE_GRID),
+    observe=_OBSERVE,
     of_groups=(observation.OBSERVED, "observed", "wtg"),
     anchors=("mppt", "coordinated-piecewise"),
 )
@@ -66,12 +69,7 @@ V1 = task.Task(
         sensing.shift_measurements,
         sensing.keep_measurement,
     ),
-    observe=(
-        observation.observe_group_if_privileged,
-        observation.show_actions,
-        observation.show_duty,
-        *_OBSERVE_GRID,
-    ),
+    observe=_OBSERVE,
     of_groups=(sensing.SENSED, "shown", "wtg"),
     privileged=((observation.OBSERVED, "observed", "exact"), (observation.OBSERVED_DUTY, "shown_duty", "exact")),
     # Duty costs as much as frequency, since the wind is most of the power. RoCoF weighs five times as much as in v0,
