@@ -391,14 +391,13 @@ class LaneFrames:
             events=struck,
             undone=undone(struck, now_s + 1e-6),
         )
-        # Without -0.00.
-        total = round(-float(sum(lanes.cost_sums()[lane].tolist())), 2) + 0.0
+        violated_s = lanes.task_values("constraint_sum")[lane] * lanes.settings.interval_s
         texts = (
             f"{now_s:.1f} s",
             TERMINATION_REASONS[Status(int(lanes.statuses()[lane]))] if outputs.terminated[lane] else "",
             "time over" if outputs.truncated[lane] else "",
-            f"return {total:.2f}".replace("-", "−"),
-            f"constraints violated in {lanes.task_values('constraint_sum')[lane]:.0f} steps",
+            f"cost {sum(lanes.cost_sums()[lane].tolist()):.2f}",
+            f"constraints violated for {violated_s:.1f} s",
         )
         n_samples = int(lanes.n_steps()[lane]) + 1
         return painter.paint(scene, {name: values[lane, :n_samples] for name, values in self._samples.items()}, texts)
