@@ -19,7 +19,8 @@ from wtg_gym.sb3 import make_sb3_vec_env
 N = 64
 #: Episodes of ten steps, so that many steps start some.
 SHORT = {"version": "v0", "duration_s": 1.0}
-N_MANY = 1024
+#: Blocks for nine threads.
+N_MANY = 576
 
 
 def batch(n_threads: int, **arguments) -> GFMWTGVectorEnv:
@@ -120,8 +121,8 @@ def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypa
 
 
 def staggered(n_threads: int, version: str = "v0") -> GFMWTGVectorEnv:
-    """A batch of 64 blocks of which one lane waits for its reset and the others run."""
-    env = GFMWTGVectorEnv(N_MANY, version=version, n_threads=n_threads, duration_s=3.0)
+    """A batch of 36 blocks of which one lane waits for its reset and the others run."""
+    env = GFMWTGVectorEnv(N_MANY, version=version, n_threads=n_threads, duration_s=3.0, control_dt=0.1)
     env.reset(seed=0)
     actions = np.zeros(env.action_space.shape, dtype=np.float32)
     for _ in range(10):
