@@ -354,7 +354,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_a_changed_file_is_read_or_refused_in_a_line_with_its_name(tmp_path, kind, data):
     name, original, text_of, read = KINDS[kind]
@@ -366,7 +366,7 @@ def test_a_changed_file_is_read_or_refused_in_a_line_with_its_name(tmp_path, kin
 
 
 @pytest.mark.parametrize("kind", COMMANDS)
-@settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_a_command_works_with_a_changed_file_or_ends_in_a_line(tmp_path, kind, data, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
