@@ -182,7 +182,8 @@ def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mod
         mode = rollouts.MODES[seed % 3]
         settings = {"suite": suite, "action_mode": action_mode, "observation_mode": observation_mode}
         env = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=mode, n_threads=1 + seed % 2, **settings)
-        actions = rollouts.actions_of(seed, 60, 17, env.single_action_space.shape[0])
+        # Episodes of five steps.
+        actions = rollouts.actions_of(seed, 20, 17, env.single_action_space.shape[0])
         lanes = rollouts.vector_steps(env, actions, seed=seed)
         env.close()
         single = GFMWTGEnv(duration_s=2.5, **settings)
