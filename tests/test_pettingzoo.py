@@ -107,9 +107,9 @@ def test_official_tests_of_pettingzoo_pass(version):
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*unknown reset options \\['options'\\] are ignored")
         warnings.filterwarnings("ignore", message=".*agents to be named in the format")
-        parallel_api_test(make(), num_cycles=1000)
-        parallel_seed_test(make, num_cycles=500)
-        api_test(parallel_to_aec(make()), num_cycles=500)
+        parallel_api_test(make(), num_cycles=300)
+        parallel_seed_test(make, num_cycles=150)
+        api_test(parallel_to_aec(make()), num_cycles=150)
 
 
 def test_bad_arguments_and_calls_are_named_and_change_nothing():

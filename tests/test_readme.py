@@ -1,13 +1,16 @@
 """The programs and commands of the README and of docs/ run as printed; notebooks were run; links lead somewhere.
 
 The README's first program and all commands run on what `pip install .` installs, in an empty folder, without the
-extras' packages. The other programs run with everything that the tests need. `make notebooks` runs the notebooks.
+extras' packages. The other programs, those of a page in one process, run with everything that the tests need. Of 90
+scenarios three are played. `make notebooks` runs the notebooks. What is installed is pinned, and the package light.
 """
 
+import importlib.metadata
 import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -15,7 +18,10 @@ from pathlib import Path
 
 import pytest
 from integrations import packages_of, programs
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
+import wtg_gym
 from wtg_gym.cli import build_app
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -28,7 +34,8 @@ PAGES = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS, "agents/README.m
 
 def blocks(page: str, language: str) -> list[str]:
     text = (ROOT / page).read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    found = re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    return [block.replace("--scenarios 90", "--scenarios 3").replace("10_090", "10_003") for block in found]
 
 
 def files(page: str) -> dict[str, str]:
@@ -68,16 +75,18 @@ def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(
 def test_commands_run_after_a_plain_install_in_an_empty_folder(plain, tmp_path):
     commands = [block for page in ("README.md", *DOCS) for block in blocks(page, "sh")]
     assert len(commands) > 1
-    for block in commands:
-        assert "coordinated-piecewise" in run(["bash", "-euc", block], tmp_path, plain)
+    # Two pages may have a command in common.
+    lines = dict.fromkeys("".join(commands).splitlines())
+    assert "coordinated-piecewise" in run(["bash", "-euc", "\n".join(lines)], tmp_path, plain)
 
 
 @pytest.mark.parametrize("page", ["README.md", *(page for page in DOCS if blocks(page, "python"))])
 def test_every_other_program_runs_as_printed(page, tmp_path):
     for name, content in files(page).items():
         (tmp_path / name).write_text(content, encoding="utf-8")
-    for program in blocks(page, "python")[1 if page == "README.md" else 0 :]:
-        run([sys.executable, "-c", program], tmp_path)
+    programs_of_page = blocks(page, "python")[1 if page == "README.md" else 0 :]
+    each = "import json, sys\nfor one in json.loads(sys.argv.pop()):\n    exec(one, {'__name__': '__main__'})"
+    run([sys.executable, "-c", each, json.dumps(programs_of_page)], tmp_path)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -148,3 +157,74 @@ def test_every_link_leads_to_a_file_and_a_heading(name):
         target = page.parent / file if file else page
         assert target.exists(), file
         assert not anchor or anchor in anchors(target), f"{file}#{anchor}"
+
+
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+
+
+def pins(name: str) -> dict[str, list[str]]:
+    text = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", "")
+    lines = (line.split("--hash=") for line in text.splitlines() if not line.startswith("#"))
+    return {requirement.strip(): [one.strip() for one in hashes] for requirement, *hashes in lines}
+
+
+def installed(requirement: Requirement, seen: set[str]) -> set[str]:
+    """Return the names of all that a requirement brings into this environment, extras in brackets."""
+    for extra in ("", *sorted(requirement.extras)):
+        key = f"{canonicalize_name(requirement.name)}[{extra}]"
+        if key not in seen:
+            seen.add(key)
+            for needed in map(Requirement, importlib.metadata.requires(requirement.name) or ()):
+                if needed.marker is None or needed.marker.evaluate({"extra": extra}):
+                    installed(needed, seen)
+    return seen
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    program = "import sys, json, wtg_gym; print(json.dumps(sorted({m.split('.')[0] for m in sys.modules})))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    loaded = set(json.loads(done.stdout))
+    heavy = {"torch", "onnx", "onnxruntime", "matplotlib", "pandas", "stable_baselines3", "rich"}
+    assert not loaded & {*heavy, "baselines", "agents"}
+
+
+def test_public_names_are_those_of_their_modules_and_no_others_and_typed():
+    assert all(getattr(wtg_gym, name) is not None and name in dir(wtg_gym) for name in wtg_gym.__all__)
+    assert (Path(wtg_gym.__file__).parent / "py.typed").exists()
+    assert wtg_gym.GFMWTGEnv is wtg_gym.envs.GFMWTGEnv and wtg_gym.evaluate is wtg_gym.evaluation.evaluate
+    with pytest.raises(AttributeError, match="no attribute 'evaluat'"):
+        wtg_gym.evaluat  # noqa: B018
+
+
+@pytest.mark.skipif(shutil.which("git") is None or not (ROOT / ".git").exists(), reason="needs a checkout and git")
+def test_nothing_that_is_made_anew_is_in_the_repository():
+    """Results, environments and machine code that somebody had added would be used instead of one's own."""
+    command = ["git", "ls-files", "--cached", "--ignored", "--exclude-standard"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+
+
+@pytest.mark.parametrize("name", ["constraints.txt", ".ci/uv.txt"])
+def test_every_pin_is_one_version_with_its_hashes(name):
+    for requirement, hashes in pins(name).items():
+        assert re.fullmatch(r"[a-z0-9-]+==[a-z0-9.]+( ; .+)?", requirement)
+        assert hashes and all(re.fullmatch("sha256:[0-9a-f]{64}", one) for one in hashes), requirement
+
+
+def test_tools_of_the_release_and_all_that_tests_install_are_pinned():
+    pinned = {requirement.split("==")[0] for requirement in (*pins("constraints.txt"), *pins(".ci/uv.txt"))}
+    assert {"build", "editables", "hatchling", "twine", "uv"} <= pinned
+    brought = {key.partition("[")[0] for key in installed(Requirement("wtg-gym[dev]"), set())}
+    assert {"numpy", "pytest", "torch"} <= brought and brought - pinned == {"wtg-gym"}
+
+
+def test_checkout_installs_by_its_pins_only():
+    for path in (ROOT / "Makefile", *WORKFLOWS, *(ROOT / ".ci").iterdir()):
+        assert not re.search(r"-m pip |/pip |^ *(- run: )?pip ", path.read_text(encoding="utf-8"), re.MULTILINE), path
+
+
+def test_workflows_name_actions_by_their_commit():
+    uses = [line for path in WORKFLOWS for line in path.read_text(encoding="utf-8").splitlines() if "uses:" in line]
+    assert uses
+    for line in uses:
+        assert re.fullmatch(r" *(- )?uses: [\w.-]+/[\w.-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+", line), line

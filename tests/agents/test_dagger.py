@@ -1,8 +1,10 @@
 """Facts about the planner and its pupil: no foresight, plans from where the episode is, the same bits again."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+import pytest
 import torch
 
 from agents import planner as planning
@@ -20,6 +22,12 @@ from wtg_gym.physics.scenario import GroupTrip, LoadRamp, LoadStep
 SETTINGS = EnvSettings(suite="standard-v1", strategy="coordinated-free", action_mode="k", reward="cost")
 SHORT = replace(SETTINGS, duration_s=20.0)
 QUICK = PlannerOptions(horizon_s=10.0, iterations=1)
+
+
+@pytest.fixture(autouse=True)
+def _few_others(monkeypatch):
+    """A planner draws the scenarios that futures are made of when it is built."""
+    monkeypatch.setattr(planning, "_N_OTHERS", 30)
 
 
 def test_a_plan_knows_nothing_of_what_comes():
@@ -87,10 +95,11 @@ def test_it_plans_from_where_the_episode_is_to_its_end():
         assert (of_futures == lanes.simulator.blocks[:, rows, :2, np.newaxis]).all()
 
 
-def test_it_costs_less_than_the_law_where_reserves_are_ample():
+def test_it_costs_less_than_the_law_where_reserves_are_ample(monkeypatch):
     seeds = [10_002, 10_005, 10_008]
+    monkeypatch.setattr(planning, "EnvSettings", partial(EnvSettings, duration_s=60.0))
     entry = planned("standard-v1", "coordinated-free", seeds, PlannerOptions(interval_s=30.0, iterations=3))
-    results = evaluate([entry, "coordinated-free"], "standard-v1", "validation", seeds=seeds)
+    results = evaluate([entry, "coordinated-free"], "standard-v1", "validation", seeds=seeds, duration_s=60.0)
     assert results.pinned_costs["planner"].mean() < results.pinned_costs["coordinated-free"].mean()
 
 

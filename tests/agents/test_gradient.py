@@ -35,7 +35,7 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(hidden, lstm, settings):
     policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden, lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
     scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
-    losses, n_steps = [], round(20.0 / lanes.settings.step_s)
+    losses, n_steps = [], round(10.0 / lanes.settings.step_s)
     for _ in range(10):
         costs, _ = costs_of(episodes, policy, scenarios, n_steps, failures)
         loss = loss_of(costs, lanes.suite, scenarios)

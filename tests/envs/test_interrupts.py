@@ -1,9 +1,11 @@
-"""An interrupted call has changed every environment or none, and what follows is the same to the last bit."""
+"""Changes that signals may not cut in two: an interrupted call has changed every environment or none."""
 
+import contextlib
 import copy
-import functools
+import itertools
 import multiprocessing
 import os
+import signal
 import threading
 import time
 
@@ -13,13 +15,14 @@ import pytest
 from tests.envs.rollouts import bits
 from tests.interruption import interrupt_before
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.physics.simulator import BlockThreads
 from wtg_gym.sb3 import make_sb3_vec_env
+from wtg_gym.signals import HeldSignals, undivided
 
 #: Lanes that are worth a thread.
 N = 64
 #: Episodes of ten steps, so that many steps start some.
 SHORT = {"version": "v0", "duration_s": 1.0}
-N_MANY = 1024
 
 
 def batch(n_threads: int, **arguments) -> GFMWTGVectorEnv:
@@ -119,34 +122,31 @@ def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypa
         assert bits(result) == bits(expected)
 
 
-def staggered(n_threads: int, version: str = "v0") -> GFMWTGVectorEnv:
-    """A batch of 64 blocks of which one lane waits for its reset and the others run."""
-    env = GFMWTGVectorEnv(N_MANY, version=version, n_threads=n_threads, duration_s=3.0)
+def staggered(n_threads: int, n_lanes: int, version: str = "v0") -> GFMWTGVectorEnv:
+    """A batch of which one lane waits for its reset and the others run."""
+    env = GFMWTGVectorEnv(n_lanes, version=version, n_threads=n_threads, duration_s=3.0, control_dt=0.1)
     env.reset(seed=0)
     actions = np.zeros(env.action_space.shape, dtype=np.float32)
     for _ in range(10):
         env.step(actions)
-    env.reset(options={"reset_mask": np.arange(N_MANY) > 0})
+    env.reset(options={"reset_mask": np.arange(n_lanes) > 0})
     for _ in range(20):
         env.step(actions)
     return env
 
 
-def played(n_threads: int, version: str) -> list[list[np.ndarray]]:
+def played(n_threads: int, n_lanes: int, version: str) -> list[list[np.ndarray]]:
     """What 45 steps of a batch return, with resets between them."""
-    env = staggered(n_threads, version)
+    env = staggered(n_threads, n_lanes, version)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (45, *env.action_space.shape)).astype(np.float32)
     found = [[np.copy(values) for values in env.step(own)[:4]] for own in actions]
     env.close()
     return found
 
 
-on_one_thread = functools.cache(functools.partial(played, 1))
-
-
 @pytest.mark.parametrize(("n_threads", "version"), [(9, "v0"), (3, "v1")])
 def test_resets_while_other_threads_step_change_no_bit(n_threads, version):
-    for one, many in zip(on_one_thread(version), played(n_threads, version), strict=True):
+    for one, many in zip(*(played(n, N * n_threads, version) for n in (1, n_threads)), strict=True):
         for a, b in zip(one, many, strict=True):
             assert (a == b).all()
 
@@ -154,9 +154,9 @@ def test_resets_while_other_threads_step_change_no_bit(n_threads, version):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads():
-    env = staggered(2)
+    env = staggered(2, 2 * N)
     process = multiprocessing.get_context("fork").Process(
-        target=env.step, args=(np.zeros((N_MANY, 4), dtype=np.float32),)
+        target=env.step, args=(np.zeros((2 * N, 4), dtype=np.float32),)
     )
     process.start()
     process.join(60.0)
@@ -192,3 +192,109 @@ def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch
     for _ in range(20):
         for own, expected in zip(env.step(action)[:4], alone.step(action)[:4], strict=True):
             assert np.array_equal(own, expected)
+
+
+#: Signals of every system with handlers of the test's own, and one that is left alone.
+FIRST, SECOND, IGNORED = signal.SIGINT, signal.SIGTERM, signal.SIGABRT
+
+
+class FirstError(Exception):
+    """What the handler of the first signal raises."""
+
+
+@pytest.fixture
+def handled():
+    """Signals handled so far, in their order; the handler of the first one raises a FirstError."""
+    numbers: list[int] = []
+
+    def handler(number: int, _: object) -> None:
+        numbers.append(number)
+        if number == FIRST:
+            raise FirstError
+
+    before = {number: signal.signal(number, handler) for number in (FIRST, SECOND)}
+    before[IGNORED] = signal.signal(IGNORED, signal.SIG_IGN)
+    handlers = [signal.getsignal(number) for number in before]
+    yield numbers
+    assert [signal.getsignal(number) for number in before] == handlers, "the handlers are put back"
+    for number, earlier in before.items():
+        signal.signal(number, earlier)
+
+
+def test_each_handler_runs_once_after_the_outermost_block_and_none_is_lost_where_another_raises(handled):
+    complete = False
+    with pytest.raises(FirstError), HeldSignals():
+        with HeldSignals():
+            for number in (FIRST, SECOND, FIRST):
+                signal.raise_signal(number)
+        assert handled == [] and signal.getsignal(IGNORED) == signal.SIG_IGN
+        complete = True
+    assert complete and sorted(handled) == sorted([FIRST, SECOND])
+    with pytest.raises(FirstError):
+        signal.raise_signal(FIRST)
+
+
+def test_a_signal_before_any_instruction_is_handled_once_and_leaves_every_handler_in_its_place(handled):
+    handlers = [signal.getsignal(number) for number in (FIRST, SECOND)]
+    entered = undivided(lambda: signal.raise_signal(SECOND))
+    for instruction in itertools.count(1):
+        handled.clear()
+        with contextlib.suppress(FirstError), interrupt_before(instruction) as instructions:
+            entered()
+        if instructions[0] < instruction:
+            break
+        assert handled.count(FIRST) == 1 and handled.count(SECOND) <= 1
+        assert [signal.getsignal(number) for number in (FIRST, SECOND)] == handlers and not HeldSignals._holds
+    assert instruction > 50
+
+
+def test_what_a_handler_raises_replaces_the_error_of_the_block(handled):
+    with pytest.raises(FirstError) as raised, HeldSignals():
+        signal.raise_signal(FIRST)
+        raise ValueError("of the block")
+    assert isinstance(raised.value.__context__, ValueError)
+
+
+def test_another_thread_neither_holds_nor_releases_signals(handled):
+    results = []
+    with pytest.raises(FirstError), HeldSignals():
+        thread = threading.Thread(target=lambda: results.append(undivided(signal.getsignal)(FIRST)))
+        thread.start()
+        thread.join()
+        signal.raise_signal(FIRST)
+        assert results == [signal.getsignal(FIRST)] and not handled
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to a thread")
+def test_threads_have_ended_before_what_a_handler_raises_arrives(handled):
+    main, ended = threading.get_ident(), []
+
+    def work(first: int, last: int, worker: int) -> None:
+        if worker > 0:
+            # The main thread has nothing left to do but wait.
+            time.sleep(0.05)
+            signal.pthread_kill(main, FIRST)
+            time.sleep(0.05)
+        ended.append(worker)
+
+    threads = BlockThreads(16, 4)
+    threads._most = 4
+    with pytest.raises(FirstError):
+        threads.run(work)
+    assert sorted(ended) == [0, 1, 2, 3]
+    threads.close()
+
+
+def test_a_block_may_be_entered_again_within_itself_and_keeps_handlers_that_it_sets(handled):
+    held = HeldSignals()
+    before = signal.getsignal(SECOND)
+    for _ in range(2):
+        with held:
+            with held:
+                signal.raise_signal(SECOND)
+            assert handled == []
+        assert handled.pop() == SECOND and signal.getsignal(SECOND) == before
+    with held:
+        signal.signal(SECOND, signal.SIG_IGN)
+    assert signal.getsignal(SECOND) == signal.SIG_IGN
+    signal.signal(SECOND, before)

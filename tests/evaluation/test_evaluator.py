@@ -289,18 +289,15 @@ def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, ch
     assert loaded == (None if change else rows)
 
 
-def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries, tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        evaluate(entries, "standard", "test", on_progress=killer(3), partial=tmp_path, **SHORT)
+def test_parts_of_other_settings_are_not_used_and_an_unknown_policy_has_none(tmp_path):
+    unknown = Entry(name="unknown", policy=linear(0.2))
+    evaluate([unknown], "standard", "test", partial=tmp_path, **SHORT)
     stored = set(tmp_path.iterdir())
-    other = evaluate(entries, "standard", "test", partial=tmp_path, weights={"rocof": 0.0}, **SHORT)
+    assert len(stored) == 2  # of the anchors
+    other = evaluate([], "standard", "test", partial=tmp_path, weights={"rocof": 0.0}, **SHORT)
     assert all(episode.metrics["cost_rocof"] == 0.0 for episode in other.episodes)
     assert other.settings["weights"]["rocof"] == 0.0
     other.parts.clear()
-    assert set(tmp_path.iterdir()) == stored
-    unknown = Entry(name="unknown", policy=linear(0.2))
-    with pytest.raises(KeyboardInterrupt):
-        evaluate([unknown], "standard", "test", on_progress=killer(3), partial=tmp_path, **SHORT)
     assert set(tmp_path.iterdir()) == stored
 
 

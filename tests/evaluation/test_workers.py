@@ -92,24 +92,21 @@ def test_killed_worker_of_loky_is_named_and_the_run_goes_on_from_its_finished_ba
     assert evaluate([Entry(name="mortal", policy=Failing(), fingerprint="1")], "standard", "test", **arguments) == again
 
 
-def test_worker_that_dask_gives_up_is_named(tmp_path):
+def test_dask_cluster_at_an_address_plays_names_a_lost_worker_or_is_named(tmp_path, monkeypatch):
     import dask
-
-    mortal = Entry(name="mortal", policy=Mortal(tmp_path / "killed"))
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        pytest.raises(ValueError, match="a dask worker was lost, KilledWorker"),
-    ):
-        evaluate([mortal], "standard", "test", workers=Workers("dask", jobs=2), **SHORT)
-
-
-def test_dask_cluster_at_an_address_plays_or_is_named(monkeypatch):
     import distributed
 
     arguments = {"seeds": (20_002,), "duration_s": 2.0}
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
-        there = evaluate([], "standard", "test", workers=Workers("dask", cluster.scheduler_address), **arguments)
-    assert there == evaluate([], "standard", "test", **arguments)
+    mortal = Entry(name="mortal", policy=Mortal(tmp_path / "killed"))
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+    ):
+        there = Workers("dask", cluster.scheduler_address)
+        found, expected = (evaluate([], "standard", "test", workers=where, **arguments) for where in (there, None))
+        assert found == expected
+        with pytest.raises(ValueError, match="a dask worker was lost, KilledWorker"):
+            evaluate([mortal], "standard", "test", workers=there, **arguments)
     monkeypatch.setattr(workers, "_CONNECT_S", 1)
     for address in ("tcp://127.0.0.1:1", "nowhere"):
         with pytest.raises(ValueError, match=f"no dask cluster answers at {address}"):

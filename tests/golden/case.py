@@ -64,10 +64,7 @@ def read_data(name: str):
 
 
 def read_case(name: str) -> Case:
-    return case_of(name, read_data(name))
-
-
-def case_of(name: str, data) -> Case:
+    data = read_data(name)
     base = data["Sbase"]
     voltage = {bus["bus"]: bus["V"] * np.exp(1j * bus["theta"]) for bus in data["bus"]}
     loads = dict.fromkeys(voltage, 0j) | {load["bus"]: complex(load["P"], load["Q"]) for load in data["load"]}

@@ -1,7 +1,8 @@
 """Make the golden traces anew with ANDES 2.0.0 (https://docs.andes.app), an independent implementation of the models.
 
-`make golden` runs this file in an environment of its own. It writes the traces, the tolerance in each `params.json`,
-and `andes_convergence.json`. Power flow, initial state and integration are ANDES' own.
+`make golden` runs this file in an environment of its own, which makes the cases that are named, or all. It writes the
+traces, the tolerance in each `params.json`, and `andes_convergence.json`. Power flow, initial state and integration are
+ANDES' own.
 
 ANDES integrates with the implicit trapezoidal rule, whose error falls with the square of the step. Every trace is made
 with several fixed steps, which divide 1/16 s, so that all rows and events lie on their grids. The finest is kept, or
@@ -24,12 +25,12 @@ Where ANDES differs from the models that the cases state:
   voltage, so that none binds in that case. STAB1 is an IEEEST without a filter.
 """
 
-import argparse
 import functools
 import itertools
 import json
 import logging
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -316,10 +317,9 @@ def extrapolated(traces: Sequence[np.ndarray], steps: Sequence[int], times: int)
     return traces[-1]
 
 
-def make_case(name: str, output: Path):
+def make_case(name: str):
     """Write the traces and the tolerance of a case; return the convergence of each trace."""
     data, run = read_data(name), RUNS[name]
-    (output / name).mkdir(parents=True, exist_ok=True)
     steps, worst, convergence = STEPS_PER_SECOND, dict.fromkeys(QUANTITIES, 0.0), {}
     for key, events in data["events"].items():
         names = columns(data, events)
@@ -333,7 +333,7 @@ def make_case(name: str, output: Path):
         # Adding zero turns a negative zero into a positive one.
         digits = 12 if name in EVENTS else 10
         lines = [",".join(f"{value:.{digits}g}" for value in row) for row in np.round(kept, 12) + 0.0]
-        (output / name / f"{key}.csv").write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
+        (GOLDEN / name / f"{key}.csv").write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
         convergence[f"{name}/{key}.csv"] = {
             "step_s": f"1/{steps[-1]}",
             "largest_difference_to_it_pu": {f"1/{n}": _short(d) for n, d in zip(steps[:-1], to_finest, strict=True)},
@@ -343,7 +343,7 @@ def make_case(name: str, output: Path):
     if name in EVENTS:  # theirs are in `case.py`
         return convergence
     data["tolerance"] = {q: _one_digit_up(max(3.0 * worst[q], WRITTEN_PU)) for q in QUANTITIES}
-    _write_json(output / name / "params.json", data)
+    _write_json(GOLDEN / name / "params.json", data)
     return convergence
 
 
@@ -361,17 +361,12 @@ def _one_digit_up(value: float) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Make the golden traces anew with ANDES.")
-    parser.add_argument("cases", nargs="*", help=f"of {', '.join(RUNS)} (default: all)")
-    parser.add_argument("--output", type=Path, default=GOLDEN, help="folder for the files (default: this one)")
-    options = parser.parse_args()
-    if unknown := set(options.cases) - set(RUNS):
-        parser.error(f"no such case: {', '.join(sorted(unknown))}")
     logging.getLogger("andes").setLevel(logging.WARNING)
-    convergence = json.loads((GOLDEN / "andes_convergence.json").read_text(encoding="utf-8"))
-    for name in options.cases or RUNS:
-        convergence["traces"] |= make_case(name, options.output)
-    _write_json(options.output / "andes_convergence.json", convergence)
+    path = GOLDEN / "andes_convergence.json"
+    convergence = json.loads(path.read_text(encoding="utf-8"))
+    for name in sys.argv[1:] or RUNS:
+        convergence["traces"] |= make_case(name)
+    _write_json(path, convergence)
 
 
 if __name__ == "__main__":

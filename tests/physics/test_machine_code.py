@@ -4,26 +4,23 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 from llvmlite.binding import get_host_cpu_features
 
 import wtg_gym
+from wtg_gym.systems import compiled
 from wtg_gym.systems.compiled import KINDS
 
-#: Two functions, of which one calls the other, compiled as the simulator's are; the folder is an argument.
+#: Two functions, of which one calls the other, compiled as the simulator's are, in a `folder`.
 PROGRAM = """
-import sys
-from pathlib import Path
-from typing import Any
 import numba
-from wtg_gym.systems.compiled import Compilation, DiskCache
 from numba.core import event
+from wtg_gym.systems.compiled import Compilation, DiskCache
 
-folder = Path(sys.argv[1])
 compilation = Compilation(folder)
-event.register("numba:compile", compilation)
 
 def compiled(function):
     result = numba.njit(function)
@@ -38,9 +35,10 @@ def square(x):
 def one_more(x):
     return square(x) + 1
 
-print(one_more(3.0), one_more(3), square(2.0), compilation.n_functions)
+with event.install_listener("numba:compile", compilation):
+    found = [one_more(3.0), one_more(3), square(2.0), compilation.n_functions]
 """
-RESULT = ["10.0", "10", "4.0"]
+IN_A_PROCESS = "import sys\nfrom pathlib import Path\nfolder = Path(sys.argv[1])\n" + PROGRAM + "print(*found)"
 COPIED = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -49,6 +47,15 @@ from wtg_gym.physics.aerodynamics import power_coefficient
 assert source_hash().startswith(cache_folder().name)
 print(cache_folder().name, float(power_coefficient(7.0)))
 """
+
+
+def here(folder: Path | None) -> int:
+    """Run the functions, defined anew, in this process; return how many were compiled."""
+    names = {"__name__": "__main__", "folder": folder}
+    exec(PROGRAM, names)
+    *results, n_compiled = names["found"]
+    assert results == [10.0, 10, 4.0]
+    return n_compiled
 
 
 def run(program: str, folder: Path, **environment: str) -> subprocess.Popen[str]:
@@ -67,17 +74,11 @@ def outcome(process: subprocess.Popen[str]) -> list[str]:
     return out.split()
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Machine code of all functions, made once."""
-    folder = tmp_path_factory.mktemp("made") / "code"
-    assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
-    return folder
-
-
 @pytest.fixture
-def folder(made, tmp_path):
-    return Path(shutil.copytree(made, tmp_path / "code"))
+def folder(tmp_path):
+    """A folder with machine code of all functions."""
+    assert here(tmp_path / "code") == 4
+    return tmp_path / "code"
 
 
 def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_at_once(folder):
@@ -89,61 +90,58 @@ def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_a
     cut.write_bytes(intact[cut][:-100])
     empty.write_bytes(b"")
     exchanged.write_bytes(intact[other_bit])
-    for process in [run(PROGRAM, folder) for _ in range(2)]:
-        assert outcome(process)[:3] == RESULT
+    for process in [run(IN_A_PROCESS, folder) for _ in range(2)]:
+        assert outcome(process)[:3] == ["10.0", "10", "4.0"]
     assert {path: path.stat().st_size for path in folder.iterdir()} == {path: len(own) for path, own in intact.items()}
-    assert outcome(run(PROGRAM, folder)) == [*RESULT, "0"]
+    assert here(folder) == 0
 
 
 @pytest.mark.skipif(
     not all(map(get_host_cpu_features().get, KINDS["x86-64-v3"])), reason="needs a processor of the kind x86-64-v3"
 )
-def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp_path):
-    assert outcome(run(PROGRAM, tmp_path, NUMBA_CPU_NAME="x86-64-v3", NUMBA_CPU_FEATURES="")) == [*RESULT, "4"]
-    brought = "from wtg_gym.systems import compiled as own\nown.SHIPPED, folder = Path(sys.argv[1]), None"
-    program = PROGRAM.replace("folder = Path(sys.argv[1])", brought)
-    assert outcome(run(program, tmp_path)) == [*RESULT, "0"]
-    assert outcome(run(program, tmp_path / "none")) == [*RESULT, "4"]
+def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp_path, monkeypatch):
+    made = outcome(run(IN_A_PROCESS, tmp_path, NUMBA_CPU_NAME="x86-64-v3", NUMBA_CPU_FEATURES=""))
+    assert made == ["10.0", "10", "4.0", "4"]
+    for place, n_compiled in ((tmp_path, 0), (tmp_path / "none", 4)):
+        monkeypatch.setattr(compiled, "SHIPPED", place)
+        assert here(None) == n_compiled
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs files that belong to users")
-def test_code_that_another_user_could_have_written_is_not_run(folder, tmp_path):
-    shared, of_group, link, pipe = sorted(folder.iterdir())
-    shared.chmod(0o602)
-    of_group.chmod(0o620)
-    link.rename(tmp_path / "elsewhere")
-    link.symlink_to(tmp_path / "elsewhere")
-    pipe.unlink()
-    os.mkfifo(pipe)
-    assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
+def test_code_that_another_user_could_have_written_is_not_run(folder):
+    for path in folder.iterdir():
+        path.chmod(0o602)
+    assert here(folder) == 4
     assert {path.lstat().st_mode for path in folder.iterdir()} == {0o100600}
     folder.chmod(0o777)
-    assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
+    assert here(folder) == 4
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs folders that belong to users")
-def test_machine_code_lies_in_the_first_place_that_only_the_user_can_write_to(tmp_path):
+def test_machine_code_lies_in_the_first_place_that_only_the_user_can_write_to(tmp_path, monkeypatch):
     shared, of_group, home = (tmp_path / name for name in ("shared", "of-group", "home"))
     for place, mode in ((shared, 0o777), (of_group, 0o770), (home, 0o755)):
         place.mkdir()
         place.chmod(mode)
-    program = "from wtg_gym.systems.compiled import cache_folder\nprint(cache_folder())"
-    places = {"NUMBA_CACHE_DIR": str(shared), "XDG_CACHE_HOME": str(of_group), "HOME": str(home)}
-    (used,) = outcome(run(program, tmp_path, **places))
-    assert Path(used).is_relative_to(home / ".cache") and not [*shared.iterdir(), *of_group.iterdir()]
+    monkeypatch.setattr(compiled.numba.config, "CACHE_DIR", str(shared))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(of_group))
+    monkeypatch.setenv("HOME", str(home))
+    used = compiled.cache_folder.__wrapped__()
+    assert used.is_relative_to(home / ".cache") and not [*shared.iterdir(), *of_group.iterdir()]
     # A folder in a shared one is as good as any, as long as nobody else made it.
     shared.chmod(0o1777)
-    (used,) = outcome(run(program, tmp_path, **places))
-    assert Path(used).is_relative_to(shared) and {path.stat().st_mode & 0o777 for path in shared.rglob("*")} == {0o700}
+    used = compiled.cache_folder.__wrapped__()
+    assert used.is_relative_to(shared) and {path.stat().st_mode & 0o777 for path in shared.rglob("*")} == {0o700}
     home.chmod(0o777)
     shared.chmod(0o777)
-    assert outcome(run(program, tmp_path, **places, TMPDIR=str(of_group))) == ["None"]
+    monkeypatch.setattr(tempfile, "tempdir", str(of_group))
+    assert compiled.cache_folder.__wrapped__() is None
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of processes")
 def test_a_full_disk_stops_nothing(tmp_path):
-    full = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\nfolder = "
-    assert outcome(run(PROGRAM.replace("folder = ", full, 1), tmp_path / "code")) == [*RESULT, "4"]
+    full = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+    assert outcome(run(full + IN_A_PROCESS, tmp_path / "code"))[3] == "4"
     assert list((tmp_path / "code").iterdir()) == []
 
 

@@ -273,16 +273,18 @@ def refused(path: Path) -> tuple[str, str]:
     return refusal.name, refusal.reason
 
 
-@pytest.mark.parametrize("name", TAKEN_FOLDERS.split())
-def test_folder_cannot_have_a_name_by_which_something_is_found(name, tmp_path):
-    check, reason = refused(folder(tmp_path / name))
-    assert check == "folder" and reason.startswith("the folder's name must")
-
-
-@pytest.mark.parametrize("name", [name.strip() for name in TAKEN_NAMES.split(";")])
-def test_entry_cannot_have_a_name_by_which_something_is_found(name, tmp_path):
-    check, reason = refused(folder(tmp_path / "a", toml=TOML.replace("Mine", name)))
-    assert check == "entry.toml" and reason.startswith("name must not be")
+@pytest.mark.parametrize(
+    ("check", "name"),
+    [
+        *(("folder", name) for name in TAKEN_FOLDERS.split()),
+        *(("entry.toml", name.strip()) for name in TAKEN_NAMES.split(";")),
+    ],
+)
+def test_neither_folder_nor_entry_has_a_name_by_which_something_is_found(check, name, tmp_path):
+    of_folder = check == "folder"
+    path = folder(tmp_path / name) if of_folder else folder(tmp_path / "a", toml=TOML.replace("Mine", name))
+    found, reason = refused(path)
+    assert found == check and reason.startswith("the folder's name must" if of_folder else "name must not be")
 
 
 def test_everything_that_is_found_by_name_is_refused_as_a_name(tmp_path):

@@ -1,9 +1,11 @@
-"""Matching: every name in a system means one thing, and a misspelt one is refused with the nearest name."""
+"""Systems: every name in one means one thing, machine code works out what the function says, and slopes come back."""
 
 from __future__ import annotations
 
 import importlib
 import inspect
+import math
+import pickle
 import pkgutil
 import re
 from collections.abc import Callable, Iterator
@@ -11,17 +13,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 import wtg_gym.physics
 import wtg_gym.tasks
-from tests.systems.test_systems import PlantMap
 from wtg_gym.physics import step
 from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine_models import CONTROLS
+from wtg_gym.physics.parameters import ROTOR_TABLE
+from wtg_gym.physics.rotor_table import Grid, read_rotor_table, tabulated_power_coefficient
 from wtg_gym.physics.units import ControlJoining, Joining
-from wtg_gym.systems.programs import Here, Product, Program, Repeat, When, build_table
-from wtg_gym.systems.routines import Routine
+from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
+from wtg_gym.systems.programs import Each, Here, Product, Program, Repeat, When, build_table, in_one_table
+from wtg_gym.systems.routines import Routine, code_of
 from wtg_gym.systems.systems import Kind, System, system
+from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 from wtg_gym.tasks import V0, V1
 
 
@@ -230,3 +238,168 @@ def test_there_is_a_list_for_every_place_where_systems_may_join():
 
     found = places((*(each for each in vars(step).values() if isinstance(each, tuple)), V0.charge, V1.observe))
     assert set(found) == {*Joining, *ControlJoining}
+
+
+N_UNITS = 3
+ROTORS = Kind(
+    name="rotors",
+    rows={"ratio": float, "pitch_deg": float},
+    scratch={"coefficient": float},
+    constants={"cells": ex.Cells, "grid": Grid},
+)
+ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
+SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
+(PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
+ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), Layout({SUMS: 1}, {}))
+
+
+def choice(a: float, b: float) -> float:
+    return select((a > b) | (b >= 2.0), a * a, b) + select((a < b) & (a <= 9.0), b, 0.0)
+
+
+FUNCTIONS = {
+    "sum": lambda a, b: a + 2.0 * b - 3.0 + (1.0 - a),
+    "product": lambda a, b: a * b * 0.5,
+    "quotient": lambda a, b: a / b + 2.0 / a,
+    "power": lambda a, b: 4.0**-a + 1.0 * b,
+    "size": lambda a, b: abs(a) - abs(-b),
+    "bounds": lambda a, b: min(a, b) * 3.0 + max(a, 0.5) + max(-1.0, b),
+    "root": lambda a, b: math.sqrt(a * a + b * b),
+    "waves": lambda a, b: sine_cosine(a)[0] * sine_cosine(b)[1],
+    "exponential": lambda a, b: exponential(-a * b) + exponential(b - 50.0),
+    "choice": choice,
+    "multiply_add": lambda a, b: fma(a, b, a) + fma(0.0, b, a),
+    "steps": lambda a, b: math.floor(a) * b + math.ceil(b) * a,
+    # Of the branch not taken nothing may come back, not even 0/0 or the slope of a root at zero.
+    "guarded": lambda a, b: select(b > -9.0, a * b, b / (a - a)) + select(a > b, 1.0, math.sqrt(a - a)),
+}
+UNITS = Kind(name="units", rows={"a": float, "b": float}, scratch={name: float for name in FUNCTIONS})
+SYSTEMS = tuple(system(UNITS, name)(function) for name, function in FUNCTIONS.items())
+FORWARD, BOTH_WAYS = in_one_table(FORWARD=SYSTEMS, BOTH_WAYS=SYSTEMS)
+POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
+
+
+class PlantMap(Layout):
+    """Units without constants, or with a table."""
+
+    def constants(self, kind: Kind, name: str):
+        grid, cells = read_rotor_table(ROTOR_TABLE).surface()
+        return cells if name == "cells" else [grid] * self.n_units(kind)
+
+    def has(self, what: str) -> bool:
+        return False
+
+
+@pytest.mark.parametrize("width", [1, 16])
+def test_every_unit_of_every_lane_has_what_the_function_says(width):
+    layout = PlantMap({UNITS: N_UNITS}, {})
+    tables = build_table((FORWARD, BOTH_WAYS), layout)
+    rng = np.random.default_rng(0)
+    block, scratch = rng.uniform(-2.0, 3.0, (layout.n_rows, width)), np.zeros((layout.n_scratch, width))
+    Routine(FORWARD)((block, scratch), tables)
+    for name, function in FUNCTIONS.items():
+        rows = scratch[layout.first_rows(UNITS, name)]
+        with np.errstate(all="ignore"):
+            for (j, x), value in np.ndenumerate(rows):
+                a, b = (np.float64(block[layout.first_rows(UNITS, part)[j], x]) for part in "ab")
+                assert value == (np.nan_to_num(a * b) + (a > b) if name == "guarded" else function(a, b)), name
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_what_comes_back_are_the_slopes(point):
+    layout, h = PlantMap({UNITS: 1}, {}), 1e-6
+    tables = build_table((FORWARD, BOTH_WAYS), layout, (BOTH_WAYS,))
+    tape, scratch = np.zeros((BOTH_WAYS.tape_rows(layout), 16)), np.zeros((layout.n_scratch, 16))
+    Routine(BOTH_WAYS, TapedWriter)((np.repeat([point], 16, axis=0).T.copy(), scratch, tape), tables)
+    for name, function in FUNCTIONS.items():
+        bars, given = np.zeros((2, 16)), np.zeros((layout.n_scratch, 16))
+        given[layout.first_rows(UNITS, name)] = 2.0
+        Routine(BOTH_WAYS, BackWithoutConstants)((bars, given, tape, scratch, bars), tables)
+        # What was written is gone with what it replaced.
+        assert not given.any()
+        (a, b) = point
+        if name == "guarded":
+            function = FUNCTIONS["product"]
+            expected = [4.0 * (function(a + h, b) - function(a - h, b)) / (2.0 * h), 2.0 * a]
+        else:
+            expected = [(function(a + h, b) - function(a - h, b)) / h, (function(a, b + h) - function(a, b - h)) / h]
+        assert bars[:, 0].tolist() == pytest.approx(expected, rel=1e-8, abs=1e-8), name
+
+
+@system(ROTORS, "coefficient")
+def coefficient_of(ratio: float, pitch_deg: float, cells: ex.Cells, grid: Grid) -> float:
+    return tabulated_power_coefficient(ratio, pitch_deg, cells, grid)
+
+
+#: Tip-speed ratio and pitch angle [deg] within the table, below its first ratio, and beyond its last one.
+@pytest.mark.parametrize(("ratio", "pitch_deg"), [(7.3, 0.2), (5.1, 11.7), (1.2, 3.0), (40.0, 4.4)])
+def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio, pitch_deg):
+    (program,) = in_one_table(TABLE=(coefficient_of,))
+    layout = PlantMap({ROTORS: 1}, {})
+    tables = build_table((program,), layout, (program,))
+    block, scratch, tape = np.array([[ratio], [pitch_deg]]), np.zeros((1, 1)), np.zeros((program.tape_rows(layout), 1))
+    Routine(program, TapedWriter)((block, scratch, tape), tables)
+    bars, value = np.zeros((2, 1)), scratch[0, 0]
+    Routine(program, BackWithoutConstants)((bars, np.ones((1, 1)), tape, scratch, bars), tables)
+    grid, cells = read_rotor_table(ROTOR_TABLE).surface()
+    h, function = 1e-6, tabulated_power_coefficient
+    ends = [function(ratio + h * a, pitch_deg + h * b, cells, grid) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+    assert value == function(ratio, pitch_deg, cells, grid)
+    expected = [(ends[0] - ends[1]) / (2 * h), (ends[2] - ends[3]) / (2 * h)]
+    assert bars[:, 0] == pytest.approx(expected, rel=1e-7, abs=1e-9)
+
+
+def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own():
+    in_rows = Kind(name="places", rows={"x": float, "y": float, "flag": float})
+    in_scratch = Kind(name="places", rows={"x": float}, scratch={"y": float, "flag": float})
+    digests = []
+    for kind in (in_rows, in_scratch):
+        first, second = system(kind, "y")(lambda x: x + 1.0), system(kind, "x")(lambda y: 2.0 * y)
+        lists = [
+            (first, second),
+            (Each(first, second),),
+            (When(kind, "flag", (first,)), second),
+            (When(kind, "flag", (first, second)),),
+            *((Repeat(kind, "flag", (first, second), most=most),) for most in (2, 3)),
+        ]
+        digests += [Program("same", entries, 0).digest() for entries in lists]
+    assert len(set(digests)) == len(digests) == 12
+
+
+def test_branches_on_traced_numbers_arrays_of_another_width_and_tables_without_the_code_are_refused():
+    with pytest.raises(TypeError, match="select"):
+        bool(ex.symbol("a") > 1.0)
+    layout = PlantMap({UNITS: 1}, {})
+    tables, routine = build_table((FORWARD, BOTH_WAYS), layout), Routine(FORWARD)
+    with pytest.raises(ValueError, match="1 or 16 columns"):
+        routine((np.zeros((2, 4)), np.zeros((layout.n_scratch, 4))), tables)
+    linked = tables._replace(code=code_of((FORWARD, BOTH_WAYS), {16: (routine,)}, {}))
+    with pytest.raises(ValueError, match="no code of 'FORWARD' for blocks of 1"):
+        routine((np.zeros((2, 1)), np.zeros((layout.n_scratch, 1))), linked)
+    # Addresses mean nothing in another process.
+    assert pickle.loads(pickle.dumps(linked)).code.size == 0
+
+
+@given(ORDINARY, ORDINARY, ORDINARY)
+@example(-0.0, 1.0, -0.0)
+@example(math.inf, 1.0, 0.0)
+@example(math.nan, 1.0, 0.0)
+@example(1e300, 1e300, 0.0)
+@example(-1e300, 1e300, 1.0)
+def test_compiled_multiply_add_has_the_bits_of_the_exact_one(a, b, c):
+    block = np.array([[a], [b], [c], [0.0]])
+    ROUTINE((block, np.zeros((0, 1))), TABLES)
+    assert repr(float(block[3, 0])) == repr(float(fma(a, b, c)))
+
+
+def test_multiply_add_is_rounded_once_and_zero_is_exact():
+    a = 1.0 + 2.0**-30
+    assert fma(a, a, -1.0 - 2.0**-29) == 2.0**-60
+    assert a * a - (1.0 + 2.0**-29) == 0.0
+    assert sine_cosine(0.0) == (0.0, 1.0) and exponential(0.0) == 1.0
+
+
+@given(st.floats(-1e4, 1e4), st.floats(-39.9, 0.0))
+def test_sine_cosine_and_exponential_agree_with_libm(angle, exponent):
+    assert sine_cosine(angle) == pytest.approx((math.sin(angle), math.cos(angle)), abs=4e-15, rel=0.0)
+    assert exponential(exponent) == pytest.approx(math.exp(exponent), rel=3e-14, abs=0.0)
