@@ -2,15 +2,13 @@
 
 import cmath
 import functools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from wtg_gym.physics import grid, layout
-from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal, moving, quotient
+from wtg_gym.physics import grid, layout, units
+from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal
 from wtg_gym.ranges import did_you_mean, require_range
-from wtg_gym.systems.elementary import sine_cosine
 from wtg_gym.systems.systems import Kind, System, is_record, setting, short_names, system
 
 #: Where systems have to join.
@@ -69,15 +67,13 @@ class Devices:
         return [f"{self.kind.name}{j}.{part}" for j in range(len(self.buses)) for part in parts]
 
 
-def joining(units: Sequence[Devices]) -> dict[str, tuple[System, ...]]:
+def joining(devices: Sequence[Devices]) -> dict[str, tuple[System, ...]]:
     """Return the systems of devices by the places where they join lists."""
-    places = dict.fromkeys(place for device in units for place in device.systems)
-    return {place: tuple(entry for device in units for entry in device.systems.get(place, ())) for place in places}
+    places = dict.fromkeys(place for device in devices for place in device.systems)
+    return {place: tuple(entry for device in devices for entry in device.systems.get(place, ())) for place in places}
 
 
 class SourceState(NamedTuple):
-    """States."""
-
     angle: float  # δ of its voltage against the frame [rad]
     speed: float  # ω [p.u.]
 
@@ -101,16 +97,14 @@ SOURCES = Kind(
 @system(SOURCES, "state", "inputs")
 def start_source(start: Terminal, connection: Connection, frame: float) -> tuple[SourceState, SourceInput]:
     """Return the voltage that gives what the power flow asks for, at nominal frequency."""
-    drop = quotient(start.current, connection.y)
-    re, im = start.voltage.re + drop.re, start.voltage.im + drop.im
-    return SourceState(math.atan2(im, re) - frame, 1.0), SourceInput(math.hypot(re, im), 0.0, 1.0)
+    emf, angle = units.internal_voltage(start, connection)
+    return SourceState(angle - frame, 1.0), SourceInput(emf, 0.0, 1.0)
 
 
 @system(SOURCES, "voltage")
 def voltage_of_source(state: SourceState, inputs: SourceInput) -> Phasor:
     """Return the voltage behind the impedance."""
-    sine, cosine = sine_cosine(state.angle)
-    return Phasor(inputs.emf * cosine, inputs.emf * sine)
+    return units.phasor(inputs.emf, state.angle)
 
 
 @system(SOURCES, "state_rates")
@@ -125,7 +119,7 @@ def sample_source(state: SourceState, inputs: SourceInput) -> Sample:
     return Sample(state.angle, 1.0, inputs.connected, 0.0)
 
 
-stage_of_source = moving(rates_of_source)
+stage_of_source = units.moving(rates_of_source)
 
 
 @functools.lru_cache(maxsize=64)

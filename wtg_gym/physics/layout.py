@@ -18,7 +18,7 @@ import numpy.typing as npt
 from wtg_gym.physics.machine_models import HYDRO
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import Pattern
-from wtg_gym.physics.units import BUSES, LANE, UNITS
+from wtg_gym.physics.units import LANE, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.compiled import internal
@@ -205,7 +205,6 @@ def _every(first: int, stride: int, n: int) -> Whole:
 
 
 OF_LANE = offsets_of(LANE)
-OF_STARTING_LANE, OF_STARTING_BUS = offsets_of(LANE, scratch=True), offsets_of(BUSES, scratch=True)
 
 
 def place_of(kind: Kind, name: str) -> int:
