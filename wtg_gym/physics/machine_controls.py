@@ -15,7 +15,7 @@ from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, gate_
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.units import LANE, UNITS, ControlJoining, Failure, Phasor, StartFailure, moving, noted
 from wtg_gym.systems.elementary import clip, limited_rate, select
-from wtg_gym.systems.systems import Kind, System, each, size, system
+from wtg_gym.systems.systems import Kind, System, count, each, system
 
 
 def inverse(time_s: float) -> float:
@@ -149,7 +149,7 @@ def stabiliser(
 
     @system(kind, "control", "set_point")
     def start_stabiliser(voltage_reference: float) -> tuple[Any, float]:
-        return state(*(0.0,) * size(state)), voltage_reference
+        return state(*(0.0,) * count(state)), voltage_reference
 
     @system(kind, "control_rates", "voltage_reference")
     def rates_of_stabiliser(

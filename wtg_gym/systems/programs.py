@@ -85,7 +85,6 @@ class Here(NamedTuple):
     """Where the systems of devices join a list, by the name that they call the place."""
 
     name: StrEnum
-    otherwise: tuple[System, ...] = ()  # what stands there where none joins
 
 
 class Each(NamedTuple):
@@ -145,7 +144,7 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
     """Yield entries, with the systems of devices where they join."""
     for entry in entries:
         if isinstance(entry, Here):
-            yield from joining.get(entry.name, entry.otherwise)
+            yield from joining.get(entry.name, ())
         elif isinstance(entry, (When, Repeat)):
             yield replace(entry, entries=tuple(_with(entry.entries, joining)))
         else:
@@ -309,18 +308,12 @@ def _constants_of(system: System, plant: MemoryMap, n: int, numbers: list[float]
             entries: list[Any] = [(cells[key], *np.shape(constants)[:2])] * n
         else:
             chosen = constants if not place.seen else [constants[i] for i in plant.seen(system.kind, place.seen)]
-            entries = [_numbers(value) for value in chosen]
+            entries = [flatten(value.item() if isinstance(value, np.void) else value) for value in chosen]
         names = [name for name, _ in constants_of(argument, place.record)]
         table = np.array(entries, dtype=np.float64).reshape(n, len(names))
         values |= dict(zip(names, table.T, strict=True))
     flat: list[float] = np.stack([values[name] for name in used], axis=1).ravel().tolist()
     return flat
-
-
-def _numbers(value: Any) -> tuple[Any, ...]:
-    """Return the numbers of a constant: a record, an entry of a structured array, or a number."""
-    plain = value.item() if isinstance(value, np.void) else value
-    return flatten(plain) if isinstance(plain, tuple) else (plain,)
 
 
 def unconditional(entries: Sequence[Any]) -> tuple[Any, ...]:
