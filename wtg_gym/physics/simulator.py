@@ -30,20 +30,14 @@ class BlockThreads:
     """Threads that work on blocks: at most `n_threads`, None for one per processor."""
 
     def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
-        self.n_blocks = n_blocks
-        self.n_threads = n_threads
-        #: Never more than at construction, or when copied to this machine: each worker's memory was made then.
-        self._most = self._wanted()
+        self.n_blocks, self.n_threads = n_blocks, n_threads
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
+        self._count_workers()
 
-    @property
-    def n_workers(self) -> int:
-        """Threads that work on blocks at once."""
-        return min(self._most, self._wanted())
-
-    def _wanted(self) -> int:
-        return max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
+    def _count_workers(self) -> None:
+        #: Threads that work on blocks at once; each has memory of its own.
+        self.n_workers = max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
 
     @undivided
     def run(
@@ -57,8 +51,7 @@ class BlockThreads:
         It is compiled with nogil, so that it releases the interpreter's lock. `meanwhile`, which takes as long as so
         many blocks, is called once, by this thread, while others work.
         """
-        n_blocks = self.n_blocks
-        n_threads = self.n_workers
+        n_blocks, n_threads = self.n_blocks, self.n_workers
         futures, main_end = [], n_blocks
         if n_threads > 1:
             main_end = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
@@ -91,8 +84,9 @@ class BlockThreads:
         return {**self.__dict__, "_pool": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        # It may be on another machine.
         self.__dict__.update(state)
-        self._most = self._wanted()
+        self._count_workers()
 
 
 #: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
@@ -456,10 +450,6 @@ class Simulator:
     def state(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's state vector; `layout.state_names` names its entries."""
         return self._lane_view(lane)[self.layout.state_rows]
-
-    def set_state(self, state: Floats, lane: int = 0) -> None:
-        """Overwrite a lane's state vector."""
-        self._lane_view(lane)[self.layout.state_rows] = state
 
     def rates(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's time derivatives, as last evaluated."""
