@@ -57,7 +57,8 @@ class Gradient(NamedTuple):
 
 
 def _shaped(name: str, values: Any, *shapes: tuple[int, ...]) -> Floats:
-    array: Floats = np.asarray(values, dtype=np.float64)
+    """Return values as an array of one of some shapes, or raise a ValueError; None gives zeros of the first."""
+    array: Floats = np.zeros(shapes[0]) if values is None else np.asarray(values, dtype=np.float64)
     if array.shape not in shapes:
         raise ValueError(f"{name} must have the shape {' or '.join(map(str, shapes))}, got {array.shape}")
     return array
@@ -338,10 +339,8 @@ class Tape:
         bars, all_rows = np.zeros_like(self._recording.before(n * step)), np.arange(self.n_carried)
         put_rows(bars, all_rows, _shaped("carried", carried, (lanes.n_lanes, self.n_carried)))
         terms = _shaped("terms", terms, (lanes.n_lanes, self._term_rows.size))
-        shown = np.zeros((lanes.n_lanes, self._output_rows.size)) if outputs is None else outputs
-        shown = _shaped("outputs", shown, (lanes.n_lanes, self._output_rows.size))
-        seen = np.zeros((lanes.n_lanes, lanes.n_observation)) if observations is None else observations
-        seen = _shaped("observations", seen, (lanes.n_lanes, lanes.n_observation))
+        shown = _shaped("outputs", outputs, (lanes.n_lanes, self._output_rows.size))
+        seen = _shaped("observations", observations, (lanes.n_lanes, lanes.n_observation))
         sums: list[Floats] = []
         for interval in range(n * (step + 1) - 1, n * step - 1, -1):
             bars, running, added = self._pull_interval(interval, bars, terms, seen, shown)
@@ -423,14 +422,13 @@ class Tape:
         n_lanes, n_steps = self.lanes.n_lanes, self.n_steps
         self.require_started()
         shape = (n_steps, n_lanes, len(COST_TERMS))
-        seeds = np.zeros(shape) if terms is None else np.broadcast_to(_shaped("terms", terms, shape, shape[2:]), shape)
-        if outputs is not None:
-            outputs = _shaped("outputs", outputs, (n_steps, n_lanes, len(self.output_names)))
+        seeds = np.broadcast_to(_shaped("terms", terms, shape, shape[2:]), shape)
+        shown = _shaped("outputs", outputs, (n_steps, n_lanes, len(self.output_names)))
         actions, law = np.empty((n_steps, n_lanes, self.lanes.n_action)), np.zeros((n_lanes, *self._law_rows.shape))
         parameters, carried = np.zeros((n_lanes, len(self.parameters))), np.zeros((n_lanes, self.n_carried))
         for step in range(n_steps - 1, -1, -1):
-            shown = None if outputs is None else outputs[step]
-            carried, actions[step], of_law, of_parameters = self.pull(step, carried, seeds[step], outputs=shown)
+            pulled = self.pull(step, carried, seeds[step], outputs=shown[step])
+            carried, actions[step], of_law, of_parameters = pulled
             law += of_law
             parameters += of_parameters
         return actions, law, parameters
