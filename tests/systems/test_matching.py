@@ -16,7 +16,7 @@ import wtg_gym.physics
 import wtg_gym.tasks
 from tests.systems.test_systems import PlantMap
 from wtg_gym.physics import step
-from wtg_gym.physics.layout import Layout, place_in
+from wtg_gym.physics.layout import Layout, place_of
 from wtg_gym.physics.machine_models import CONTROLS
 from wtg_gym.physics.units import ControlJoining, Joining
 from wtg_gym.systems.programs import Here, Product, Program, Repeat, When, build_table
@@ -160,7 +160,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: Layout({GUESTS: 1, HOSTS: 1}, {(GUESTS, "hots"): np.array([0])}),
         "unknown labels of what guests see ['hots']; known labels of what guests see: host, far_; did you mean 'host'",
     ),
-    "row by a name of two": (lambda: place_in(GUESTS, "re"), "2 numbers of guests have the name 're'"),
+    "row by a name of two": (lambda: place_of(GUESTS, "re"), "2 numbers of guests have the name 're'"),
 }
 
 

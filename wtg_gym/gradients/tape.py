@@ -19,6 +19,7 @@ from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Floats, Whole, put_rows, rows_of_lanes
 from wtg_gym.physics.plant import PlantMap, PlantTables, plant_tables, programs_of, with_places
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.ranges import require_known
 from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Program, constant_places
 from wtg_gym.systems.routines import code_of
@@ -69,8 +70,7 @@ def term_weights(weights: Mapping[str, float] | None) -> Floats:
     weights = dict.fromkeys(COST_TERMS, 1.0) if weights is None else weights
     if not isinstance(weights, Mapping) or not np.isfinite(list(weights.values())).all():
         raise ValueError(f"weights must be finite numbers by the names of terms, got {weights!r:.60}")
-    if unknown := [term for term in weights if term not in COST_TERMS]:
-        raise ValueError(f"unknown terms {unknown} of the cost; known: {', '.join(COST_TERMS)}")
+    require_known("terms of the cost", weights, COST_TERMS)
     return np.array([weights.get(term, 0.0) for term in COST_TERMS])
 
 
@@ -207,8 +207,7 @@ class Tape:
         Raises:
             ValueError: a parameter is none of the tape's, or its value is not allowed.
         """
-        if unknown := sorted(set(values) - set(self.parameters)):
-            raise ValueError(f"the tape has no parameters {unknown}; it has: {', '.join(self.parameters) or 'none'}")
+        require_known("parameters of the tape", values, self.parameters)
         plant = with_parameters(self.lanes.simulator.settings, values)
         settings = dataclasses.replace(self.lanes.settings, plant=plant)
         self._open(TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.threads.n_threads))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from wtg_gym.physics import grid, layout, units
 from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal
-from wtg_gym.ranges import did_you_mean, require_range
+from wtg_gym.ranges import did_you_mean, require_known, require_range
 from wtg_gym.systems.systems import Kind, System, is_record, setting, short_names, system
 
 #: Where systems have to join.
@@ -44,16 +44,14 @@ class Devices:
             raise ValueError(f"impedances of {name} must be finite and not 0 p.u., got {self.impedances}")
         for weight in self.reactive_weights:
             require_range(f"a reactive weight of {name}", weight, 1e-9, 1e6, "p.u.")
-        if unknown := sorted(set(self.systems) - set(Joining)):
-            places = f"{', '.join(Joining)}{did_you_mean(unknown[0], Joining)}"
-            raise ValueError(f"no list has a place {unknown[0]!r} for {name}; places: {places}")
+        require_known(f"places for systems of {name}", self.systems, list(Joining))
         if missing := [place for place in _NEEDED if place not in self.systems]:
             raise ValueError(f"{name} have no systems for {', '.join(missing)}")
         if others := {entry.kind.name for systems in self.systems.values() for entry in systems} - {name}:
             raise ValueError(f"systems of {', '.join(sorted(others))} cannot join for {name}")
         if set(self.constants) != set(kind.constants):
             raise ValueError(f"{name} have the constants {sorted(kind.constants)}, got {sorted(self.constants)}")
-        if layout.place_in(kind, "connected") is None:
+        if "connected" not in layout.names_of(kind):
             raise ValueError(f"the rows of {name} have no number `connected`, which says whether a unit is")
         if self.shown is not None and not is_record(kind.scratch.get(self.shown)):
             like = did_you_mean(self.shown, kind.scratch)

@@ -115,10 +115,10 @@ def _limited(
     """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
     machine = settings.case.machines[unit]
     for control, parameters in machine_models.controls_of(machine):
-        if control.limits is not None and control.failure == failure:
+        if control.limits is not None and control.limits.failure == failure:
             place = np.flatnonzero(layout.seen(control.kind, "machine") == unit)[0]
-            value = rows[layout.rows_of(control.kind, control.limited)[place]]
-            return control.limited, float(value), *control.limits(parameters)
+            value = rows[layout.rows_of(control.kind, control.limits.state)[place]]
+            return control.limits.state, float(value), *control.limits.of(parameters)
     if failure == StartFailure.GOVERNOR_LIMIT:
         return "gate", float(rows[layout.machine("gate")[unit]]), *gate_limits(machine.governor)
     exciter = machine.exciter
@@ -214,13 +214,7 @@ def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: 
 
 @compiled
 def prepare_lanes(
-    rows: Floats,
-    scratch: Floats,
-    y: Complex,
-    network: Network,
-    data: LaneData,
-    load_levels: Floats,
-    failures: Whole,
+    rows: Floats, scratch: Floats, y: Complex, network: Network, data: LaneData, load_levels: Floats, failures: Whole
 ) -> None:
     """Put lanes into the equilibrium of their wind, law and load, at nominal frequency.
 

@@ -205,11 +205,7 @@ class VoltageControlParameters(Checked):
     takeover_gain: float = design(1.0, "p.u./p.u.", "weight of reactive excess against voltage error", 0.0, 100.0)
     internal_voltage_min_pu: float = design(0.5, "p.u.", "least voltage behind X_g", 0.0, 1.0)
     internal_voltage_max_pu: float = design(
-        1.4,
-        "p.u.",
-        "largest voltage behind X_g: at most 1.13 p.u. behind REGFM_A1's filter of 0.15 p.u.",
-        1.0,
-        10.0,
+        1.4, "p.u.", "largest voltage behind X_g: at most 1.13 p.u. behind REGFM_A1's filter of 0.15 p.u.", 1.0, 10.0
     )
 
 

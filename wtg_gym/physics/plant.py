@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,11 +16,11 @@ from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.converter import converter_limits, voltage_control
 from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
-from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
+from wtg_gym.physics.layout import Facts, Layout, Network, Span, names_of
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
 from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
-from wtg_gym.physics.protection import STAGES, SheddingConstants
+from wtg_gym.physics.protection import STAGES, Shedding
 from wtg_gym.physics.units import BUSES, ISLANDS, LANE, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
 from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
 from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
@@ -220,16 +219,10 @@ class PlantTables(NamedTuple):
     saturation: tuple[RotorSaturation, ...]  # of each machine (n_sync,)
     controls: Mapping[str, npt.NDArray[np.void]]  # constants of those that are units, by the names of kinds
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
-    shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
+    shedding: npt.NDArray[np.void]  # (n_stages,), of Shedding
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
     of_lane: Mapping[str, Any]  # constants of every environment
     devices: tuple[Devices, ...]
-
-    @property
-    def device_units(self) -> list[Whole]:
-        """Numbers of the units of each of `devices`; they come after the groups."""
-        edges = np.cumsum([self.machines.size + self.share.size, *(len(device.buses) for device in self.devices)])
-        return [np.arange(first, last) for first, last in itertools.pairwise(edges)]
 
     @property
     def n_substeps(self) -> int:
@@ -260,7 +253,7 @@ def plant_tables(settings: Plant) -> PlantTables:
     impedances = [complex(machine.resistance, machine.internal_reactance) for machine in machines]
     impedances += [1j * turbines[0].converter.reactance / rating for rating in share]
     impedances += [impedance for device in settings.all_devices for impedance in device.impedances]
-    stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
+    stages = [Shedding(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
     # Each machine's share of what loads need at the start; none where the case dispatches them. A gate beyond 1 p.u.
     # says nothing about the power that a machine is meant for.
     sharing = [
@@ -281,7 +274,7 @@ def plant_tables(settings: Plant) -> PlantTables:
         saturation=tuple(rotor_saturation(machine) for machine in case.machines),
         controls=machine_models.control_constants(case.machines),
         extension=structured(wind_turbine.Extension, extensions * settings.extended),
-        shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
+        shedding=structured(Shedding, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, _buses_of(case, network.unit_bus)),
         of_lane={
             "omega_n": 2.0 * math.pi * case.frequency_hz,
@@ -427,7 +420,10 @@ def layout_of(plant: PlantTables, task: TaskUnits = NO_TASK) -> Layout:
         kind, of_machine = machine_models.CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
-    for units, device in zip(plant.device_units, plant.devices, strict=True):
+    first = plant.machines.size + plant.share.size
+    for device in plant.devices:
+        units = first + np.arange(len(device.buses))
+        first += units.size
         if device.kind in n_units or device.kind in task.n_units:
             raise ValueError(f"there are units of a kind {device.kind.name!r} already")
         n_units[device.kind] = units.size
@@ -528,7 +524,7 @@ def with_places(
     connected += [layout.rows_of(device.kind, "connected") for device in plant.devices]
     angles = [layout.machine("angle"), layout.wtg("angle")]
     for device in plant.devices:
-        turns = place_in(device.kind, "angle") is not None
+        turns = "angle" in names_of(device.kind)
         angles.append(layout.rows_of(device.kind, "angle") if turns else np.full(len(device.buses), -1))
     facts = plant.network.facts._replace(**spans)
     tables = build_table(programs, PlantMap(plant, layout, task), taped)
