@@ -115,10 +115,10 @@ def _limited(
     """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
     machine = settings.case.machines[unit]
     for control, parameters in machine_models.controls_of(machine):
-        if control.limits is not None and control.limits.failure == failure:
+        limits = control.start_limits
+        if limits is not None and limits.failure == failure:
             place = np.flatnonzero(layout.seen(control.kind, "machine") == unit)[0]
-            value = rows[layout.rows_of(control.kind, control.limits.state)[place]]
-            return control.limits.state, float(value), *control.limits.of(parameters)
+            return limits.state, float(rows[layout.rows_of(control.kind, limits.state)[place]]), *limits.of(parameters)
     if failure == StartFailure.GOVERNOR_LIMIT:
         return "gate", float(rows[layout.machine("gate")[unit]]), *gate_limits(machine.governor)
     exciter = machine.exciter

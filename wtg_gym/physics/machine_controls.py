@@ -6,7 +6,6 @@ the field voltage, a governor with its turbine the torque. The copies that the m
 follow from states of the control and are no states of the plant.
 """
 
-import importlib
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -80,7 +79,7 @@ class Control(NamedTuple):
     kind: Kind  # what its units keep: "control", the states, and the constants "model"
     constants: Constants  # what makes those of its parameters
     systems: Mapping[ControlJoining, tuple[System, ...]]  # by where they join the lists of `wtg_gym.physics.step`
-    limits: StartLimits | None
+    start_limits: StartLimits | None
 
 
 class _KindOfControl(Kind):
@@ -92,8 +91,9 @@ class _KindOfControl(Kind):
 
 def _kind_named(name: str) -> Kind:
     # The list of all controls is made of what is here.
-    kind: Kind = importlib.import_module("wtg_gym.physics.machine_models").CONTROLS[name].kind
-    return kind
+    from wtg_gym.physics.machine_models import CONTROLS
+
+    return CONTROLS[name].kind
 
 
 def _kind(control: str, constants: Constants, state: type, **rows: Any) -> Kind:
@@ -112,7 +112,7 @@ def _control(
     start: System,
     rates: System,
     limit: Callable[[Any, Any], Any] | None = None,
-    limits: StartLimits | None = None,
+    start_limits: StartLimits | None = None,
 ) -> Control:
     """Return a control: its start, its rates, and what follows from them; `limit` holds states within their limits."""
 
@@ -121,8 +121,8 @@ def _control(
         ControlJoining.MOVE: (moving(rates, limit, constants=["model"]),),
         ControlJoining.RATES: (rates,),
     }
-    if limits is not None:
-        failure, limited, limits_of = limits
+    if start_limits is not None:
+        failure, limited, limits_of = start_limits
 
         @system(kind, "lane_failure")
         def check_control(control: Any, model: Any, lane_failure: Failure) -> Failure:
@@ -131,7 +131,7 @@ def _control(
             return noted((low <= value) & (value <= high), failure, model.machine, lane_failure)
 
         systems[ControlJoining.START] = (check_control,)
-    return Control(kind, constants, systems, limits)
+    return Control(kind, constants, systems, start_limits)
 
 
 def stabiliser(
@@ -240,5 +240,5 @@ def governor(
         state_rates, torque = rates(control, speed, inputs.gate_reference, inputs.inv_droop, model)
         return each(lambda rate: inputs.connected * rate, state_rates), machine.rating * torque
 
-    limits = StartLimits(StartFailure.GOVERNOR_LIMIT, gate, gate_limits)
-    return _control(kind, constants, start_governor, rates_of_governor, limit, limits)
+    start_limits = StartLimits(StartFailure.GOVERNOR_LIMIT, gate, gate_limits)
+    return _control(kind, constants, start_governor, rates_of_governor, limit, start_limits)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -185,7 +184,6 @@ class Simulator:
         self._rates = np.zeros((0, 0, 0))
         for lane in range(self.n_lanes, n_blocks * self.width):
             rows = self._lane_view(lane)
-            rows[:] = 0.0
             padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
             self._write_machine_inputs(rows[None, :], [padding])
             for name in ("wind", "wind_start"):
@@ -321,9 +319,8 @@ class Simulator:
         data = self._allocate_data(n, max([1, *map(len, events)]))
         for lane, scenario in enumerate(scenarios):
             self._write_series(data, lane, scenario)
-        places = [(lane, place) for lane, lane_events in enumerate(events) for place in range(len(lane_events))]
-        if places:
-            data.events[tuple(np.transpose(places))] = np.array([*itertools.chain(*events)], dtype=NO_EVENT.dtype)
+        for lane, changes in enumerate(events):
+            data.events[lane, : len(changes)] = np.array(changes, dtype=NO_EVENT.dtype)
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
         rows[:, self._law_rows] = _law_numbers(tuple(laws))
@@ -361,11 +358,10 @@ class Simulator:
         if index.size != places.size:
             raise ValueError(f"a prepared run is needed for each of {index.size} lanes, got {places.size}")
         self.blocks[index // self.width, :, index % self.width] = prepared.rows[places]
-        *arrays, events = self.data
+        wind, noise, events = self.data
+        wind[index], noise[index] = prepared.data.wind[places], prepared.data.noise[places]
         events[index] = NO_EVENT
         events[index, :n_events] = prepared.data.events[places]
-        for array, series in zip(arrays, prepared.data[:-1], strict=True):
-            array[index] = series[places]
 
     def _write_series(self, data: LaneData, lane: int, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals
