@@ -8,7 +8,6 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -25,7 +24,6 @@ Complex = npt.NDArray[np.complex128]
 HEAD = 4
 #: Entries of a program, at most.
 _MOST = 40
-_NOBODY: Mapping[str, Sequence[System]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,16 +150,11 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
 
 
 class Program:
-    """A list of systems and control blocks, the program of a number among those that share a table.
+    """A list of systems and control blocks, the program of a number among those that share a table."""
 
-    `joining` has systems of devices, by the places where they join.
-    """
-
-    def __init__(
-        self, name: str, entries: Sequence[Any], number: int, joining: Mapping[str, Sequence[System]] = _NOBODY
-    ) -> None:
+    def __init__(self, name: str, entries: Sequence[Any], number: int) -> None:
         self.name, self.number, self._unjoined = name, number, tuple(entries)
-        self.entries: tuple[Any, ...] = tuple(_with(entries, joining))
+        self.entries: tuple[Any, ...] = tuple(_with(entries, {}))
         self.places = {id(entry): _MOST * number + i for i, entry in enumerate(_flat(self.entries))}
         self._digests: dict[bool, str] = {}
         if len(self.places) > _MOST:
@@ -170,8 +163,8 @@ class Program:
             raise ValueError(f"a system stands in program {name!r} twice")
 
     def joined(self, joining: Mapping[str, Sequence[System]]) -> "Program":
-        """Return the program with systems of devices."""
-        return Program(self.name, self._unjoined, self.number, joining) if joining else self
+        """Return the program with systems of devices, by the places where they join."""
+        return Program(self.name, tuple(_with(self._unjoined, joining)), self.number) if joining else self
 
     def digest(self, *, back: bool = False) -> str:
         """Return a hash of everything that its machine code depends on, or that of the way back through it."""
@@ -186,7 +179,8 @@ class Program:
 
     def tape_rows(self, plant: MemoryMap) -> int:
         """Return how many rows a run of the program notes."""
-        return sum(_tape_rows(entry, plant) for entry in _flat(self.entries))
+        systems = (entry for entry in _flat(self.entries) if isinstance(entry, System))
+        return sum(len(system.noted) * _n_units(system, plant) for system in systems)
 
 
 def _content(entry: Any) -> tuple[Any, ...]:
@@ -222,10 +216,6 @@ def _n_units(entry: Any, plant: MemoryMap) -> int:
     return plant.n_units(entry.units) if isinstance(entry, Product) else 1
 
 
-def _tape_rows(entry: Any, plant: MemoryMap) -> int:
-    return len(entry.noted) * _n_units(entry, plant) if isinstance(entry, System) else 0
-
-
 def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = ()) -> Tables:
     """Return the tables of programs for a plant; `taped` are those of them that have a way back."""
     head = np.zeros((_MOST * len(programs), HEAD), dtype=np.int64)
@@ -235,13 +225,13 @@ def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[P
         for entry in _flat(program.entries):
             row, n = head[program.places[id(entry)]], _n_units(entry, plant)
             row[:] = n, head.size + len(rows), len(numbers), n_taped
-            n_taped += _tape_rows(entry, plant) if program in taped else 0
             if isinstance(entry, System):
                 # Tables of cells come before the constants of the system.
                 values = _constants_of(entry, plant, n, numbers, cells)
                 row[2] = len(numbers)
                 rows += _system_rows(entry, plant, n)
                 numbers += values
+                n_taped += len(entry.noted) * n if program in taped else 0
             elif isinstance(entry, Product):
                 rows += _product_rows(entry, plant)
             else:

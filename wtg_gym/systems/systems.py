@@ -187,11 +187,6 @@ class Place(NamedTuple):
     name: str = ""  # the full one
 
     @property
-    def numbers(self) -> range:
-        """Places of its numbers within the part."""
-        return range(self.offset, self.offset + count(self.record))
-
-    @property
     def in_scratch(self) -> bool:
         """Whether it lies in scratch."""
         return self.where == "scratch"
@@ -247,8 +242,7 @@ class System:
         for name in self.writes:
             if not self.places[name].has_rows:
                 raise TypeError(f"system {self.name!r} writes {name!r}, which is one of the {self.places[name].where}")
-        places = [self.places[name] for name in self.writes]
-        written = [(place.kind.name, place.seen, place.part, number) for place in places for number in place.numbers]
+        written = [self.row(name, k) for name in self.writes for k in range(count(self.places[name].record))]
         if len(set(written)) < len(written):
             raise TypeError(f"system {self.name!r} writes a number twice: {', '.join(self.writes)}")
         for name, annotation in self._annotations().items():
