@@ -394,7 +394,7 @@ class Tape:
     def _work(self, worker: int) -> Work:
         if worker not in self._works:
             simulator = self.lanes.simulator
-            self._works[worker] = work_of(self._rules, simulator.layout, self._plant.n_substeps, simulator.width)
+            self._works[worker] = work_of(self._rules, simulator.layout, self._plant.network, simulator.width)
         return self._works[worker]
 
     def play(self, scenarios: Sequence[Scenario], actions: Floats) -> Played:

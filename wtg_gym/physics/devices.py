@@ -107,7 +107,6 @@ def voltage_of_source(state: SourceState, inputs: SourceInput) -> Phasor:
 
 @system(SOURCES, "state_rates")
 def rates_of_source(state: SourceState, inputs: SourceInput, reference_speed: float, omega_n: float) -> SourceState:
-    """Return the rates."""
     return SourceState(omega_n * (state.speed - reference_speed), inputs.ramp)
 
 

@@ -32,7 +32,6 @@ def reference(speed: float) -> float:
 
 @system(MACHINES, "needed")
 def subtract_machine_power(needed: float, dispatch: float) -> float:
-    """Subtract the dispatched power of a machine."""
     return needed - dispatch
 
 

@@ -225,11 +225,6 @@ class PlantTables(NamedTuple):
     devices: tuple[Devices, ...]
 
     @property
-    def n_substeps(self) -> int:
-        """Simulation steps per control interval."""
-        return self.network.facts.n_substeps
-
-    @property
     def simulation_dt(self) -> float:
         """Step of the integration [s]."""
         return self.network.facts.simulation_dt

@@ -288,7 +288,6 @@ def shed_load(
 
 @system(LANE, "shed_energy", when="extended")
 def count_shed_energy(shed_energy: float, unserved: float, active: float, simulation_dt: float) -> float:
-    """Count the load that is not served."""
     return shed_energy + select(active > 0.5, unserved * simulation_dt, 0.0)
 
 

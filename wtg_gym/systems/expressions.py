@@ -158,7 +158,6 @@ def multiply_add(a: Any, b: Any, c: Any) -> Any:
 
 
 def is_finite(a: Any) -> Any:
-    """Return whether a number is finite."""
     return absolute(a) < math.inf
 
 
@@ -177,7 +176,6 @@ class Cells:
 
 
 def sine_cosine(angle: Any) -> tuple[Any, Any]:
-    """Return sine and cosine."""
     return number("sine", angle), number("cosine", angle)
 
 

@@ -280,7 +280,6 @@ class System:
 
     @property
     def name(self) -> str:
-        """Name of the function."""
         return self.equation.__name__
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
@@ -295,7 +294,6 @@ class System:
 
     @functools.cached_property
     def arguments_named(self) -> tuple[str, ...]:
-        """Names of the arguments."""
         return self.arguments or _parameters(self.equation)
 
     @property
