@@ -187,8 +187,7 @@ class Tape:
     def _link(self, programs: Sequence[Program]) -> None:
         simulator = self.lanes.simulator
         routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
-        code = code_of(programs, {simulator.width: routines}, simulator.functions())
-        self._plant = self._plant.with_tables(self._plant.network.tables._replace(code=code))
+        self._plant = self._plant.with_code(code_of(programs, {simulator.width: routines}, simulator.functions()))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -229,9 +229,9 @@ class PlantTables(NamedTuple):
         """Step of the integration [s]."""
         return self.network.facts.simulation_dt
 
-    def with_tables(self, tables: Tables) -> "PlantTables":
-        """Return the plant with other tables."""
-        return self._replace(network=self.network._replace(tables=tables))
+    def with_code(self, code: Whole) -> "PlantTables":
+        """Return the plant with the addresses of its machine code in this process."""
+        return self._replace(network=self.network._replace(tables=self.network.tables._replace(code=code)))
 
 
 def plant_tables(settings: Plant) -> PlantTables:

@@ -220,7 +220,7 @@ class Simulator:
             routines: dict[int, tuple[Routine, ...]] = {1: (*integration.STARTING, *task.starting)}
             routines[self.width] = (*integration.STEPPING, *task.stepping, *routines.get(self.width, ()))
             code.append(code_of(programs, routines, functions))
-        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code[0]))
+        self.plant = self.plant.with_code(code[0])
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float = 1.0, committed: float = 1.0) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
