@@ -206,7 +206,8 @@ class Tape:
         Raises:
             ValueError: a parameter is none of the tape's, or its value is not allowed.
         """
-        require_known("parameters of the tape", values, self.parameters)
+        if unknown := sorted(set(values) - set(self.parameters)):
+            raise ValueError(f"the tape has no parameters {unknown}; it has: {', '.join(self.parameters) or 'none'}")
         plant = with_parameters(self.lanes.simulator.settings, values)
         settings = dataclasses.replace(self.lanes.settings, plant=plant)
         self._open(TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.threads.n_threads))
