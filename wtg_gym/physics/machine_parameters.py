@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from wtg_gym.ranges import Checked, describe, design, parameter, required
 
 
+@dataclass(frozen=True, kw_only=True)
 class LeadLags(Checked):
     """Parameters of a control with lead-lags; a lead without a lag, which would differentiate, is refused."""
 
