@@ -58,13 +58,14 @@ def synchronising_coefficients(scenario, laws, settings=None):
     held. The sum of a row is K_p where all groups swing together against the synchronous machines.
     """
     simulator = at_rest(scenario, laws, settings)
-    layout, start, columns = simulator.layout, simulator.state(), []
-    for row in layout.wtg("angle"):
-        powers = []
+    rows, columns = simulator.blocks[0, :, 0], []
+    for row in simulator.layout.wtg("angle"):
+        powers, start = [], rows[row]
         for sign in (-1.0, 1.0):
-            simulator.set_state(start + sign * DIFFERENCE * (layout.state_rows == row))
+            rows[row] = start + sign * DIFFERENCE
             simulator.evaluate()
             powers.append(simulator.wtg_values("power")[0])
+        rows[row] = start
         columns.append((powers[1] - powers[0]) / (2.0 * DIFFERENCE))
     return np.stack(columns, axis=1)
 

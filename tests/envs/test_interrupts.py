@@ -278,7 +278,6 @@ def test_threads_have_ended_before_what_a_handler_raises_arrives(handled):
         ended.append(worker)
 
     threads = BlockThreads(16, 4)
-    threads._most = 4
     with pytest.raises(FirstError):
         threads.run(work)
     assert sorted(ended) == [0, 1, 2, 3]

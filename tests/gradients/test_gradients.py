@@ -248,7 +248,7 @@ def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid(settings):
     actions = actions_of(tape, 60, 0.2)
     found = agrees(tape, scenarios, actions)
     played(tape, scenarios, actions)
-    ended = tape.lanes.simulator.lane_values("step") / tape.lanes.simulator.plant.n_substeps
+    ended = tape.lanes.simulator.lane_values("step") / tape.lanes.simulator.plant.network.facts.n_substeps
     statuses = tape.lanes.statuses()
     assert (statuses[:2] != Status.RUNNING).all() and (ended[:2] < 50).all()
     assert statuses[2] == Status.RUNNING and (not settings or (ended[:2] % 1.0 > 0.0).all())

@@ -87,7 +87,7 @@ def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trip
     recorded(simulator, 100.0)
     if trips:
         assert simulator.lane_values("status")[0] == Status.RUNNING
-        assert simulator.lane_values("step")[0] == 1000 * simulator.plant.n_substeps
+        assert simulator.lane_values("step")[0] == 1000 * simulator.plant.network.facts.n_substeps
         assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
         assert simulator.wtg_values("trip_cause")[0].tolist() == [0.0, TripCause.STALL]
         assert simulator.wtg_values("power")[0, 1] == 0.0

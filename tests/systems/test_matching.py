@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 import wtg_gym.physics
 import wtg_gym.tasks
 from wtg_gym.physics import step
-from wtg_gym.physics.layout import Layout, place_in
+from wtg_gym.physics.layout import Layout, place_of
 from wtg_gym.physics.machine_models import CONTROLS
 from wtg_gym.physics.parameters import ROTOR_TABLE
 from wtg_gym.physics.rotor_table import Grid, read_rotor_table, tabulated_power_coefficient
@@ -168,7 +168,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: Layout({GUESTS: 1, HOSTS: 1}, {(GUESTS, "hots"): np.array([0])}),
         "unknown labels of what guests see ['hots']; known labels of what guests see: host, far_; did you mean 'host'",
     ),
-    "row by a name of two": (lambda: place_in(GUESTS, "re"), "2 numbers of guests have the name 're'"),
+    "row by a name of two": (lambda: place_of(GUESTS, "re"), "2 numbers of guests have the name 're'"),
 }
 
 

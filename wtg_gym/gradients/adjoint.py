@@ -148,9 +148,9 @@ class Work(NamedTuple):
     lost: npt.NDArray[np.bool_]  # governors lost at the start of every simulation step (n_substeps, n_machines, width)
 
 
-def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
+def work_of(rules: Rules, layout: Layout, network: Network, width: int) -> Work:
     """Return room for a thread."""
-    p = rules.noted
+    p, n_substeps = rules.noted, network.facts.n_substeps
     n_taped = _row(p, n_substeps, 0) + p.flows + p.sweep + p.rates + p.charged + p.measured + p.observed
     scratch, bars, before = np.zeros((3, layout.n_scratch, width))
     return Work(

@@ -19,6 +19,7 @@ from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Floats, Whole, put_rows, rows_of_lanes
 from wtg_gym.physics.plant import PlantMap, PlantTables, plant_tables, programs_of, with_places
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.ranges import require_known
 from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Program, constant_places
 from wtg_gym.systems.routines import code_of
@@ -57,7 +58,8 @@ class Gradient(NamedTuple):
 
 
 def _shaped(name: str, values: Any, *shapes: tuple[int, ...]) -> Floats:
-    array: Floats = np.asarray(values, dtype=np.float64)
+    """Return values as an array of one of some shapes, or raise a ValueError; None gives zeros of the first."""
+    array: Floats = np.zeros(shapes[0]) if values is None else np.asarray(values, dtype=np.float64)
     if array.shape not in shapes:
         raise ValueError(f"{name} must have the shape {' or '.join(map(str, shapes))}, got {array.shape}")
     return array
@@ -68,8 +70,7 @@ def term_weights(weights: Mapping[str, float] | None) -> Floats:
     weights = dict.fromkeys(COST_TERMS, 1.0) if weights is None else weights
     if not isinstance(weights, Mapping) or not np.isfinite(list(weights.values())).all():
         raise ValueError(f"weights must be finite numbers by the names of terms, got {weights!r:.60}")
-    if unknown := [term for term in weights if term not in COST_TERMS]:
-        raise ValueError(f"unknown terms {unknown} of the cost; known: {', '.join(COST_TERMS)}")
+    require_known("terms of the cost", weights, COST_TERMS)
     return np.array([weights.get(term, 0.0) for term in COST_TERMS])
 
 
@@ -186,8 +187,7 @@ class Tape:
     def _link(self, programs: Sequence[Program]) -> None:
         simulator = self.lanes.simulator
         routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
-        code = code_of(programs, {simulator.width: routines}, simulator.functions())
-        self._plant = self._plant.with_tables(self._plant.network.tables._replace(code=code))
+        self._plant = self._plant.with_code(code_of(programs, {simulator.width: routines}, simulator.functions()))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -338,10 +338,8 @@ class Tape:
         bars, all_rows = np.zeros_like(self._recording.before(n * step)), np.arange(self.n_carried)
         put_rows(bars, all_rows, _shaped("carried", carried, (lanes.n_lanes, self.n_carried)))
         terms = _shaped("terms", terms, (lanes.n_lanes, self._term_rows.size))
-        shown = np.zeros((lanes.n_lanes, self._output_rows.size)) if outputs is None else outputs
-        shown = _shaped("outputs", shown, (lanes.n_lanes, self._output_rows.size))
-        seen = np.zeros((lanes.n_lanes, lanes.n_observation)) if observations is None else observations
-        seen = _shaped("observations", seen, (lanes.n_lanes, lanes.n_observation))
+        shown = _shaped("outputs", outputs, (lanes.n_lanes, self._output_rows.size))
+        seen = _shaped("observations", observations, (lanes.n_lanes, lanes.n_observation))
         sums: list[Floats] = []
         for interval in range(n * (step + 1) - 1, n * step - 1, -1):
             bars, running, added = self._pull_interval(interval, bars, terms, seen, shown)
@@ -396,7 +394,7 @@ class Tape:
     def _work(self, worker: int) -> Work:
         if worker not in self._works:
             simulator = self.lanes.simulator
-            self._works[worker] = work_of(self._rules, simulator.layout, self._plant.n_substeps, simulator.width)
+            self._works[worker] = work_of(self._rules, simulator.layout, self._plant.network, simulator.width)
         return self._works[worker]
 
     def play(self, scenarios: Sequence[Scenario], actions: Floats) -> Played:
@@ -423,14 +421,13 @@ class Tape:
         n_lanes, n_steps = self.lanes.n_lanes, self.n_steps
         self.require_started()
         shape = (n_steps, n_lanes, len(COST_TERMS))
-        seeds = np.zeros(shape) if terms is None else np.broadcast_to(_shaped("terms", terms, shape, shape[2:]), shape)
-        if outputs is not None:
-            outputs = _shaped("outputs", outputs, (n_steps, n_lanes, len(self.output_names)))
+        seeds = np.broadcast_to(_shaped("terms", terms, shape, shape[2:]), shape)
+        shown = _shaped("outputs", outputs, (n_steps, n_lanes, len(self.output_names)))
         actions, law = np.empty((n_steps, n_lanes, self.lanes.n_action)), np.zeros((n_lanes, *self._law_rows.shape))
         parameters, carried = np.zeros((n_lanes, len(self.parameters))), np.zeros((n_lanes, self.n_carried))
         for step in range(n_steps - 1, -1, -1):
-            shown = None if outputs is None else outputs[step]
-            carried, actions[step], of_law, of_parameters = self.pull(step, carried, seeds[step], outputs=shown)
+            pulled = self.pull(step, carried, seeds[step], outputs=shown[step])
+            carried, actions[step], of_law, of_parameters = pulled
             law += of_law
             parameters += of_parameters
         return actions, law, parameters

@@ -51,8 +51,6 @@ class Corners(NamedTuple):
 
 
 class Converter(NamedTuple):
-    """Constants of a converter."""
-
     two_h: float  # 2H [s]
     inv_two_h: float  # [1/s]
     droop_gain: float  # D_p [p.u./p.u.]
@@ -62,8 +60,6 @@ class Converter(NamedTuple):
 
 
 class ConverterState(NamedTuple):
-    """States."""
-
     angle: float  # δ of its voltage against the first unit's rotor [rad]
     speed: float  # ω [p.u.]
     filter: float  # x, the filtered frequency deviation [p.u.]

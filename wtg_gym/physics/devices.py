@@ -2,15 +2,13 @@
 
 import cmath
 import functools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from wtg_gym.physics import grid, layout
-from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal, moving, quotient
-from wtg_gym.ranges import did_you_mean, require_range
-from wtg_gym.systems.elementary import sine_cosine
+from wtg_gym.physics import grid, layout, units
+from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal
+from wtg_gym.ranges import did_you_mean, require_known, require_range
 from wtg_gym.systems.systems import Kind, System, is_record, setting, short_names, system
 
 #: Where systems have to join.
@@ -46,16 +44,14 @@ class Devices:
             raise ValueError(f"impedances of {name} must be finite and not 0 p.u., got {self.impedances}")
         for weight in self.reactive_weights:
             require_range(f"a reactive weight of {name}", weight, 1e-9, 1e6, "p.u.")
-        if unknown := sorted(set(self.systems) - set(Joining)):
-            places = f"{', '.join(Joining)}{did_you_mean(unknown[0], Joining)}"
-            raise ValueError(f"no list has a place {unknown[0]!r} for {name}; places: {places}")
+        require_known(f"places for systems of {name}", self.systems, list(Joining))
         if missing := [place for place in _NEEDED if place not in self.systems]:
             raise ValueError(f"{name} have no systems for {', '.join(missing)}")
         if others := {entry.kind.name for systems in self.systems.values() for entry in systems} - {name}:
             raise ValueError(f"systems of {', '.join(sorted(others))} cannot join for {name}")
         if set(self.constants) != set(kind.constants):
             raise ValueError(f"{name} have the constants {sorted(kind.constants)}, got {sorted(self.constants)}")
-        if layout.place_in(kind, "connected") is None:
+        if "connected" not in layout.names_of(kind):
             raise ValueError(f"the rows of {name} have no number `connected`, which says whether a unit is")
         if self.shown is not None and not is_record(kind.scratch.get(self.shown)):
             like = did_you_mean(self.shown, kind.scratch)
@@ -69,15 +65,13 @@ class Devices:
         return [f"{self.kind.name}{j}.{part}" for j in range(len(self.buses)) for part in parts]
 
 
-def joining(units: Sequence[Devices]) -> dict[str, tuple[System, ...]]:
+def joining(devices: Sequence[Devices]) -> dict[str, tuple[System, ...]]:
     """Return the systems of devices by the places where they join lists."""
-    places = dict.fromkeys(place for device in units for place in device.systems)
-    return {place: tuple(entry for device in units for entry in device.systems.get(place, ())) for place in places}
+    places = dict.fromkeys(place for device in devices for place in device.systems)
+    return {place: tuple(entry for device in devices for entry in device.systems.get(place, ())) for place in places}
 
 
 class SourceState(NamedTuple):
-    """States."""
-
     angle: float  # δ of its voltage against the frame [rad]
     speed: float  # ω [p.u.]
 
@@ -101,21 +95,18 @@ SOURCES = Kind(
 @system(SOURCES, "state", "inputs")
 def start_source(start: Terminal, connection: Connection, frame: float) -> tuple[SourceState, SourceInput]:
     """Return the voltage that gives what the power flow asks for, at nominal frequency."""
-    drop = quotient(start.current, connection.y)
-    re, im = start.voltage.re + drop.re, start.voltage.im + drop.im
-    return SourceState(math.atan2(im, re) - frame, 1.0), SourceInput(math.hypot(re, im), 0.0, 1.0)
+    emf, angle = units.internal_voltage(start, connection)
+    return SourceState(angle - frame, 1.0), SourceInput(emf, 0.0, 1.0)
 
 
 @system(SOURCES, "voltage")
 def voltage_of_source(state: SourceState, inputs: SourceInput) -> Phasor:
     """Return the voltage behind the impedance."""
-    sine, cosine = sine_cosine(state.angle)
-    return Phasor(inputs.emf * cosine, inputs.emf * sine)
+    return units.phasor(inputs.emf, state.angle)
 
 
 @system(SOURCES, "state_rates")
 def rates_of_source(state: SourceState, inputs: SourceInput, reference_speed: float, omega_n: float) -> SourceState:
-    """Return the rates."""
     return SourceState(omega_n * (state.speed - reference_speed), inputs.ramp)
 
 
@@ -125,7 +116,7 @@ def sample_source(state: SourceState, inputs: SourceInput) -> Sample:
     return Sample(state.angle, 1.0, inputs.connected, 0.0)
 
 
-stage_of_source = moving(rates_of_source)
+stage_of_source = units.moving(rates_of_source)
 
 
 @functools.lru_cache(maxsize=64)

@@ -8,23 +8,13 @@ import numpy as np
 
 from wtg_gym.physics import integration, machine_models, machine_parameters
 from wtg_gym.physics import scenario as events
-from wtg_gym.physics.layout import (
-    OF_LANE,
-    OF_STARTING_BUS,
-    OF_STARTING_LANE,
-    Floats,
-    LaneData,
-    Layout,
-    Network,
-    NetworkEvent,
-    units_of,
-)
+from wtg_gym.physics.layout import OF_LANE, Floats, LaneData, Layout, Network, NetworkEvent, offsets_of, units_of
 from wtg_gym.physics.machine import gate_limits
-from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, power_flow, solve_sparse_flow
+from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow, solve_sparse_flow
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.units import StartFailure
+from wtg_gym.physics.units import BUSES, LANE, StartFailure
 from wtg_gym.ranges import whole_steps
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, Complex, Whole
@@ -43,21 +33,13 @@ def scenario_name(scenario: Scenario) -> str:
     return scenario.name if scenario.name.startswith(NOMINAL) else f"scenario {scenario.name!r}"
 
 
-def bus_of_unit(settings: Plant, unit: int) -> int:
-    """Return the bus number of a unit: machines, groups, devices."""
-    devices = [bus for device in settings.all_devices for bus in device.buses]
-    return [*(m.bus for m in settings.case.machines), *(group.bus for group in settings.groups), *devices][unit]
-
-
 def unit_name(settings: Plant, unit: int) -> str:
     """Return what an error calls a unit."""
-    group = unit - len(settings.case.machines)
-    component = "the synchronous machine" if group < 0 else f"WTG group {group + 1} of {len(settings.groups)}"
-    if group >= len(settings.groups):
-        component = [f"a unit of {device.kind.name}" for device in settings.all_devices for _ in device.buses][
-            group - len(settings.groups)
-        ]
-    return f"{component} at bus {bus_of_unit(settings, unit)}"
+    n_groups = len(settings.groups)
+    names = ["the synchronous machine"] * len(settings.case.machines)
+    names += [f"WTG group {number} of {n_groups}" for number in range(1, n_groups + 1)]
+    names += [f"a unit of {device.kind.name}" for device in settings.all_devices for _ in device.buses]
+    return f"{names[unit]} at bus {settings.unit_buses[unit]}"
 
 
 def check_internal_voltages(rows: Floats, scenarios: Sequence[Scenario], settings: Plant, layout: Layout) -> None:
@@ -68,7 +50,7 @@ def check_internal_voltages(rows: Floats, scenarios: Sequence[Scenario], setting
     if (voltages <= limit).all():
         return
     lane, unit = np.argwhere(~(voltages <= limit))[0]
-    bus = settings.case.buses[settings.case.bus_index(bus_of_unit(settings, int(unit)))]
+    bus = settings.case.buses[settings.case.bus_index(settings.unit_buses[unit])]
     task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
     raise StartError(
         f"{scenario_name(scenarios[lane])} cannot start: {unit_name(settings, int(unit))} needs an internal voltage of "
@@ -133,10 +115,10 @@ def _limited(
     """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
     machine = settings.case.machines[unit]
     for control, parameters in machine_models.controls_of(machine):
-        if control.limits is not None and control.failure == failure:
+        limits = control.start_limits
+        if limits is not None and limits.failure == failure:
             place = np.flatnonzero(layout.seen(control.kind, "machine") == unit)[0]
-            value = rows[layout.rows_of(control.kind, control.limited)[place]]
-            return control.limited, float(value), *control.limits(parameters)
+            return limits.state, float(rows[layout.rows_of(control.kind, limits.state)[place]]), *limits.of(parameters)
     if failure == StartFailure.GOVERNOR_LIMIT:
         return "gate", float(rows[layout.machine("gate")[unit]]), *gate_limits(machine.governor)
     exciter = machine.exciter
@@ -145,15 +127,16 @@ def _limited(
     return "field_voltage", float(value), exciter.field_min_pu, exciter.field_max_pu
 
 
-#: Rows of a bus in scratch, as columns of the power flow.
+#: Rows in scratch of an environment that starts and of its buses, and these as columns of the power flow.
+_OF_START, _OF_BUS = offsets_of(LANE, scratch=True), offsets_of(BUSES, scratch=True)
 FLOW_COLUMNS = PowerFlow(
-    power=OF_STARTING_BUS.planned,
-    polar=OF_STARTING_BUS.polar,
-    holds_voltage=OF_STARTING_BUS.holds,
-    flow=OF_STARTING_BUS.flow,
-    voltage=OF_STARTING_BUS.at_bus,
+    power=_OF_BUS.planned,
+    polar=_OF_BUS.polar,
+    holds_voltage=_OF_BUS.holds,
+    flow=_OF_BUS.flow,
+    voltage=_OF_BUS.at_bus,
 )
-POWER_FLOW = Function(power_flow, 1)
+POWER_FLOW = Function(solve_power_flow, 1)
 #: Compiled for large networks alone.
 SPARSE_FLOW = Function(solve_sparse_flow, 2, numba.int64)
 _flow, _sparse_flow = POWER_FLOW.call, SPARSE_FLOW.call
@@ -173,7 +156,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network
     facts, tables, scratch = network.facts, network.tables, arrays[1]
     lane = units_of(scratch, facts.starting)[0]
     integration.plan(arrays, tables, NONE)
-    released = lane[OF_STARTING_LANE.failure, 0] == 0.0
+    released = lane[_OF_START.failure, 0] == 0.0
     balances = facts.n_balances
     while released:
         if facts.is_large:
@@ -181,7 +164,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network
         else:
             steps = _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS))
         if steps < 0:
-            lane[OF_STARTING_LANE.failure, 0] = _DIVERGED
+            lane[_OF_START.failure, 0] = _DIVERGED
             break
         if balances:
             integration.balance(arrays, tables, NONE)
@@ -189,23 +172,23 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network
             continue
         # Each time at least one bus lets go, and no bus does twice.
         integration.release(arrays, tables, NONE)
-        released = lane[OF_STARTING_LANE.released, 0] > 0.0
-    if lane[OF_STARTING_LANE.failure, 0] != 0.0:
+        released = lane[_OF_START.released, 0] > 0.0
+    if lane[_OF_START.failure, 0] != 0.0:
         return math.nan
-    return float(buses[facts.slack, OF_STARTING_BUS.flow] - buses[facts.slack, OF_STARTING_BUS.planned])
+    return float(buses[facts.slack, _OF_BUS.flow] - buses[facts.slack, _OF_BUS.planned])
 
 
 @internal
 def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
     lane = units_of(arrays[1], network.facts.starting)[0]
-    at, failure = OF_STARTING_LANE.curtailment, OF_STARTING_LANE.failure
+    at, failure = _OF_START.curtailment, _OF_START.failure
     low, high = _LEAST_CURTAILMENT, 1.0
     # Far from the balance no power flow exists: the sum of all powers without losses comes close.
     while high - low > _CLOSE and lane[failure, 0] == 0.0:
         lane[at, 0] = 0.5 * (low + high)
         integration.plan(arrays, network.tables, NONE)
-        if lane[OF_STARTING_LANE.needed, 0] > 0.0:
+        if lane[_OF_START.needed, 0] > 0.0:
             low = lane[at, 0]
         else:
             high = lane[at, 0]
@@ -231,13 +214,7 @@ def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: 
 
 @compiled
 def prepare_lanes(
-    rows: Floats,
-    scratch: Floats,
-    y: Complex,
-    network: Network,
-    data: LaneData,
-    load_levels: Floats,
-    failures: Whole,
+    rows: Floats, scratch: Floats, y: Complex, network: Network, data: LaneData, load_levels: Floats, failures: Whole
 ) -> None:
     """Put lanes into the equilibrium of their wind, law and load, at nominal frequency.
 
@@ -253,21 +230,21 @@ def prepare_lanes(
     buses = scratch[planning.first : end].reshape(planning.n_units, planning.n_rows)
     for lane in range(rows.shape[0]):
         block, arrays = rows[lane], (rows[lane], scratch)
-        starting[OF_STARTING_LANE.load_level, 0] = load_levels[lane]
-        starting[OF_STARTING_LANE.curtailment, 0] = 1.0
+        starting[_OF_START.load_level, 0] = load_levels[lane]
+        starting[_OF_START.curtailment, 0] = 1.0
         if facts.curtails:
             _curtail(arrays, buses, y, network)
         else:
             _plan_flow(arrays, buses, y, network)
-        if starting[OF_STARTING_LANE.failure, 0] == 0.0:
+        if starting[_OF_START.failure, 0] == 0.0:
             integration.settle(arrays, tables, NONE)
             run = units_of(block, facts.lane)[0]
-            voltage = buses[int(run[OF_LANE.noise_bus, 0]), OF_STARTING_BUS.polar]
+            voltage = buses[int(run[OF_LANE.noise_bus, 0]), _OF_BUS.polar]
             run[OF_LANE.noise_per_mw, 0] = 1.0 / (facts.base_mva * voltage * voltage)
             events = data.events[lane]
             for e in range(events.shape[0]):
                 if events[e].bus >= 0:
-                    voltage = buses[events[e].bus, OF_STARTING_BUS.polar]
+                    voltage = buses[events[e].bus, _OF_BUS.polar]
                     events[e].active /= voltage * voltage
                     events[e].reactive /= -(voltage * voltage)
             integration.refresh(tables, (block, 0, lane, network, data))
@@ -275,8 +252,8 @@ def prepare_lanes(
             integration.find(arrays, tables, NONE)
             integration.find_rates(arrays, tables, NONE)
             integration.start(arrays, tables, NONE)
-        failures[lane, 0] = int(starting[OF_STARTING_LANE.failure, 0])
-        failures[lane, 1] = int(starting[OF_STARTING_LANE.failure + 1, 0])
+        failures[lane, 0] = int(starting[_OF_START.failure, 0])
+        failures[lane, 1] = int(starting[_OF_START.failure + 1, 0])
 
 
 def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:

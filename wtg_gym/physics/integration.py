@@ -12,19 +12,10 @@ from wtg_gym.systems.compiled import compiled, inlined, internal
 from wtg_gym.systems.programs import NONE, in_one_table
 from wtg_gym.systems.routines import Function, Routine
 
-PROGRAMS = in_one_table(
-    ADMITTANCES=systems.ADMITTANCES,
-    FIND=systems.FIND,
-    RATES=systems.RATES,
-    MOVE=systems.MOVE,
-    FINISH=systems.FINISH,
-    PROTECT=systems.PROTECT,
-    PLAN=systems.PLAN,
-    BALANCE=systems.BALANCE,
-    RELEASE=systems.RELEASE,
-    SETTLE=systems.SETTLE,
-    START=systems.START,
-)
+#: Lists of :mod:`wtg_gym.physics.step` that are programs: those of a step, then those of the start of a run.
+_OF_STEP = ("ADMITTANCES", "FIND", "RATES", "MOVE", "FINISH", "PROTECT")
+_OF_START = ("PLAN", "BALANCE", "RELEASE", "SETTLE", "START")
+PROGRAMS = in_one_table(**{name: getattr(systems, name) for name in (*_OF_STEP, *_OF_START)})
 _ADMITTANCES, _FIND, _RATES, _MOVE, _FINISH, _PROTECT, *_STARTING = PROGRAMS
 _FIRST, _MIDDLE, _LAST = (
     Routine(_MOVE, place=place, first=first, last=last)
@@ -60,22 +51,16 @@ def _enter_interval(block: Floats, first_lane: int, network: Network, data: Lane
 
 
 @internal
-def _apply_events(block: Floats, first_lane: int, network: Network, data: LaneData) -> bool:
-    """Let the events that are due at the present step change the networks of a block; return whether any is."""
+def strike(
+    block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any, step: int
+) -> None:
+    """Let the events that are due at the present step change the networks of a block."""
     lane, changed = units_of(block, network.facts.lane)[0], False
     for x in range(block.shape[1]):
         if lane[OF_LANE.step, x] >= lane[OF_LANE.next_change, x]:
             refresh(network.tables, (block, x, first_lane + x, network, data))
             changed = True
-    return changed
-
-
-@internal
-def strike(
-    block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any, step: int
-) -> None:
-    """Let the events of a simulation step strike."""
-    if _apply_events(block, first_lane, network, data):
+    if changed:
         # For the whole block: an environment without a change gets the same bits again.
         combine_load_noise((block, scratch), network.tables, NONE)
 
@@ -142,7 +127,9 @@ def interval_of(
 
     @internal
     def advance(block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any) -> None:
-        n_substeps, between = network.facts.n_substeps, _steps_between_samples(network.facts.simulation_dt)
+        n_substeps = network.facts.n_substeps
+        # Protections sample the grid after so many simulation steps, and at the interval's end.
+        between = max(1, int(PROTECTION_INTERVAL_S / network.facts.simulation_dt + 1e-6))
         _enter_interval(block, first_lane, network, data)
         combine_load_noise((block, scratch), network.tables, NONE)
         for step in range(n_substeps):
@@ -157,12 +144,6 @@ def interval_of(
         find_rates(block, scratch, network, tape, n_substeps)
 
     return advance
-
-
-@inlined
-def _steps_between_samples(h: float) -> int:
-    """Return after how many simulation steps of h [s] protections sample the grid, and at an interval's end."""
-    return max(1, int(PROTECTION_INTERVAL_S / h + 1e-6))
 
 
 #: The plain step; it has no tape.

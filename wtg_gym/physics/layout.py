@@ -18,7 +18,7 @@ import numpy.typing as npt
 from wtg_gym.physics.machine_models import HYDRO
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import Pattern
-from wtg_gym.physics.units import BUSES, LANE, UNITS
+from wtg_gym.physics.units import LANE, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.compiled import internal
@@ -54,12 +54,14 @@ def names_of(kind: Kind) -> list[str]:
     return [*itertools.chain(*names)]
 
 
-def place_in(kind: Kind, name: str) -> int | None:
-    """Return which of a unit's rows has a number of a short name, None if none has; a ValueError if several have."""
+def place_of(kind: Kind, name: str) -> int:
+    """Return which of a unit's rows has a number of a short name; a KeyError if none has, a ValueError if several."""
     names = names_of(kind)
+    if name not in names:
+        raise KeyError(f"{name!r} is no number of {kind.name}{did_you_mean(name, names)}")
     if names.count(name) > 1:
         raise ValueError(f"{names.count(name)} numbers of {kind.name} have the name {name!r}")
-    return names.index(name) if name in names else None
+    return names.index(name)
 
 
 class Span(NamedTuple):
@@ -145,13 +147,11 @@ class Layout:
 
     def _named(self, name: str, what: str, kinds: Sequence[Kind]) -> Whole:
         if (name, what) not in self._cached_rows:
-            for kind in kinds:
-                if place_in(kind, name) is not None and (self.counts[kind] or kind is kinds[0]):
-                    self._cached_rows[name, what] = self.rows_of(kind, name)
-                    break
-            else:
+            has = [kind for kind in kinds if name in names_of(kind) and (self.counts[kind] or kind is kinds[0])]
+            if not has:
                 known = itertools.chain(*(names_of(kind) for kind in kinds if self.counts[kind]))
                 raise KeyError(f"{name!r} is no number of a {what} of this plant{did_you_mean(name, known)}")
+            self._cached_rows[name, what] = self.rows_of(has[0], name)
         return self._cached_rows[name, what]
 
     @cached_property
@@ -205,15 +205,6 @@ def _every(first: int, stride: int, n: int) -> Whole:
 
 
 OF_LANE = offsets_of(LANE)
-OF_STARTING_LANE, OF_STARTING_BUS = offsets_of(LANE, scratch=True), offsets_of(BUSES, scratch=True)
-
-
-def place_of(kind: Kind, name: str) -> int:
-    """Return which of a unit's rows has a number of a short name."""
-    place = place_in(kind, name)
-    if place is None:
-        raise KeyError(f"{name!r} is no number of {kind.name}{did_you_mean(name, names_of(kind))}")
-    return place
 
 
 class Facts(NamedTuple):

@@ -26,8 +26,6 @@ from wtg_gym.systems.elementary import clip, limited_rate, select
 
 
 class Saturation(NamedTuple):
-    """Constants of a saturation curve."""
-
     threshold: float  # A [p.u.]
     gain: float  # B [1/p.u.]; 0 for no saturation
 
@@ -78,8 +76,6 @@ class Exciter(NamedTuple):
 
 
 class ExciterState(NamedTuple):
-    """States of SEXS."""
-
     lead_lag: float  # x [p.u.]
     field_voltage: float  # E_fd [p.u.]
 
@@ -128,8 +124,6 @@ class Governor(NamedTuple):
 
 
 class GovernorState(NamedTuple):
-    """States of TGOV1."""
-
     gate: float  # g [p.u.]
     reheat: float  # x [p.u.]
 
@@ -177,8 +171,6 @@ def governor_rates(
 
 
 class Machine(NamedTuple):
-    """Constants of a synchronous machine."""
-
     internal_reactance: float  # x'', or x'_d of a classical machine [p.u.]
     resistance: float
     gamma_d: float  # (x'' - x_l) / (x'_d - x_l)
@@ -216,8 +208,6 @@ class Saturating(NamedTuple):
 
 
 class MachineState(NamedTuple):
-    """States of a synchronous machine."""
-
     angle: float  # δ of the rotor against the first unit's [rad]
     speed: float  # ω [p.u.]
     e_q_transient: float  # E'_q
@@ -248,24 +238,19 @@ class MachineVoltage(NamedTuple):
 
 
 class MachineOutput(NamedTuple):
-    """Outputs of a synchronous machine."""
-
     power: float  # of the air gap [p.u.]
     voltage: float  # at the terminal [p.u.]
     torque: float  # mechanical [p.u.]
 
 
-def terminal_voltage(e: MachineVoltage, i_re: float, i_im: float, c: Machine) -> float:
-    """Return the voltage at the terminal [p.u.], at a current into the network in its frame [p.u.]."""
-    return _stator(e, *_in_rotor(e, i_re, i_im), c)
-
-
-def _in_rotor(e: MachineVoltage, i_re: float, i_im: float) -> tuple[float, float]:
+def in_rotor(e: MachineVoltage, i_re: float, i_im: float) -> tuple[float, float]:
     """Return a current in the rotor's frame, i_d and i_q."""
     return i_re * e.sine - i_im * e.cosine, i_re * e.cosine + i_im * e.sine
 
 
-def _stator(e: MachineVoltage, i_d: float, i_q: float, c: Machine) -> float:
+def terminal_voltage(e: MachineVoltage, i_re: float, i_im: float, c: Machine) -> float:
+    """Return the voltage at the terminal [p.u.], at a current into the network in its frame [p.u.]."""
+    i_d, i_q = in_rotor(e, i_re, i_im)
     v_d = e.e_d - c.resistance * i_d + c.internal_reactance * i_q
     v_q = e.e_q - c.resistance * i_q - c.internal_reactance * i_d
     return math.sqrt(v_d * v_d + v_q * v_q)
@@ -275,41 +260,6 @@ def saturation_factor(e_d: float, e_q: float, c: RotorSaturation) -> float:
     """Return S at a voltage behind x'' by its components [p.u.]."""
     flux = math.sqrt(e_d * e_d + e_q * e_q)
     return saturated(flux, c.curve) / max(flux, 1e-9)
-
-
-def machine_rates(
-    s: MachineState,
-    e: MachineVoltage,
-    i_re: float,
-    i_im: float,
-    u: MachineInput,
-    c: Machine,
-    iron: Saturating,
-    reference_speed: float,
-    omega_n: float,
-) -> tuple[MachineState, MachineOutput]:
-    """Return rates and outputs, at a current into the network in its frame and a speed of the first unit [p.u.]."""
-    i_d, i_q = _in_rotor(e, i_re, i_im)
-    voltage = _stator(e, i_d, i_q, c)
-    power = e.e_d * i_d + e.e_q * i_q
-
-    governor, turbine_torque = governor_rates(s.governor, s.speed, u.gate_reference, u.inv_droop, c.governor)
-    torque = c.rating * turbine_torque
-    lag_d = s.psi_1d + c.x_d_leak * i_d - s.e_q_transient
-    lag_q = s.psi_2q + c.x_q_leak * i_q + s.e_d_transient
-    field = s.exciter.field_voltage - s.e_q_transient - c.x_d_field * (i_d - c.gamma_d2 * lag_d)
-    damper = -s.e_d_transient + c.x_q_field * (i_q - c.gamma_q2 * lag_q)
-    rates = MachineState(
-        angle=omega_n * (s.speed - reference_speed),
-        speed=u.inv_two_h * (torque - power - c.damping * (s.speed - 1.0)),
-        e_q_transient=c.inv_t_d0_transient * (field - iron.d),
-        e_d_transient=c.inv_t_q0_transient * (damper - iron.q),
-        psi_1d=-c.inv_t_d0_subtransient * lag_d,
-        psi_2q=-c.inv_t_q0_subtransient * lag_q,
-        exciter=exciter_rates(s.exciter, u.voltage_reference - voltage, c.exciter),
-        governor=governor,
-    )
-    return rates, MachineOutput(power, voltage, torque)
 
 
 def machine_limited(s: MachineState, c: Machine) -> MachineState:
@@ -326,7 +276,7 @@ def machine_constants(m: machine_parameters.SynchronousMachineParameters, base_m
     """
     scale = base_mva / m.rating_mva
     classical = {"internal_reactance": m.x_d_transient * scale, "gamma_d": 1.0, "gamma_q": 1.0}
-    rotor = dict.fromkeys(Machine._fields, 0.0) | (classical if m.classical else _genrou(m, scale))
+    rotor = dict.fromkeys(Machine._fields, 0.0) | classical if m.classical else _genrou(m, scale)
     shared = {
         "resistance": m.resistance * scale,
         "damping": m.damping_pu / scale,
@@ -334,8 +284,11 @@ def machine_constants(m: machine_parameters.SynchronousMachineParameters, base_m
         "two_h": m.two_h_s / scale,
         "reactive_weight": 1.0 / scale if m.reactive_weight is None else m.reactive_weight / base_mva,
     }
-    exciter = exciter_constants(None if m.classical else m.exciter)
-    return Machine(**{**rotor, **shared, "exciter": exciter, "governor": governor_constants(m.governor)})  # type: ignore[arg-type]
+    controls = {
+        "exciter": exciter_constants(None if m.classical else m.exciter),
+        "governor": governor_constants(m.governor),
+    }
+    return constants_of(Machine, m, **{**rotor, **shared, **controls})
 
 
 def _genrou(m: machine_parameters.SynchronousMachineParameters, scale: float) -> dict[str, float]:
@@ -356,10 +309,6 @@ def _genrou(m: machine_parameters.SynchronousMachineParameters, scale: float) ->
         "x_q_field": (m.x_q - m.x_q_transient) * scale,
         "x_d_leak": span_d * scale,
         "x_q_leak": span_q * scale,
-        "inv_t_d0_transient": 1.0 / m.t_d0_transient_s,
-        "inv_t_d0_subtransient": 1.0 / m.t_d0_subtransient_s,
-        "inv_t_q0_transient": 1.0 / m.t_q0_transient_s,
-        "inv_t_q0_subtransient": 1.0 / m.t_q0_subtransient_s,
     }
 
 

@@ -6,16 +6,14 @@ the field voltage, a governor with its turbine the torque. The copies that the m
 follow from states of the control and are no states of the plant.
 """
 
-import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, gate_limits, terminal_voltage
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.units import LANE, UNITS, ControlJoining, Failure, Phasor, StartFailure, moving, noted
 from wtg_gym.systems.elementary import clip, limited_rate, select
-from wtg_gym.systems.systems import Kind, System, each, size, system
+from wtg_gym.systems.systems import Kind, System, count, each, system
 
 
 def inverse(time_s: float) -> float:
@@ -67,17 +65,21 @@ def limited_lag(state: float, signal: float, inv_time: float, low: float, high: 
     return rate, clip(select(inv_time > 0.0, state, signal), low, high)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Control:
+class StartLimits(NamedTuple):
+    """Limits beyond which a control cannot start."""
+
+    failure: StartFailure  # what such a start is called
+    state: str  # that has them
+    of: Callable[[Any], tuple[float, float]]  # limits of that state at rest, from the parameters or the constants
+
+
+class Control(NamedTuple):
     """A model of a control."""
 
     kind: Kind  # what its units keep: "control", the states, and the constants "model"
     constants: Constants  # what makes those of its parameters
     systems: Mapping[ControlJoining, tuple[System, ...]]  # by where they join the lists of `wtg_gym.physics.step`
-    failure: StartFailure = StartFailure.NONE  # name of a start beyond its limits
-    limited: str = ""  # the state that has them
-    #: Of that state at rest, from the parameters or the constants; None for none.
-    limits: Callable[[Any], tuple[float, float]] | None = None
+    start_limits: StartLimits | None
 
 
 class _KindOfControl(Kind):
@@ -89,8 +91,9 @@ class _KindOfControl(Kind):
 
 def _kind_named(name: str) -> Kind:
     # The list of all controls is made of what is here.
-    kind: Kind = importlib.import_module("wtg_gym.physics.machine_models").CONTROLS[name].kind
-    return kind
+    from wtg_gym.physics.machine_models import CONTROLS
+
+    return CONTROLS[name].kind
 
 
 def _kind(control: str, constants: Constants, state: type, **rows: Any) -> Kind:
@@ -109,37 +112,30 @@ def _control(
     start: System,
     rates: System,
     limit: Callable[[Any, Any], Any] | None = None,
-    checked: tuple[StartFailure, str, Callable[[Any], tuple[float, float]]] | None = None,
+    start_limits: StartLimits | None = None,
 ) -> Control:
-    """Return a control: its start, its rates, and what follows from them.
-
-    `limit` holds the states within their limits; `checked` are failure, limited state and limits of a control that
-    cannot start beyond them.
-    """
+    """Return a control: its start, its rates, and what follows from them; `limit` holds states within their limits."""
 
     systems: dict[ControlJoining, tuple[System, ...]] = {
         ControlJoining.SETTLE: (start,),
         ControlJoining.MOVE: (moving(rates, limit, constants=["model"]),),
         ControlJoining.RATES: (rates,),
     }
-    if checked is None:
-        return Control(kind=kind, constants=constants, systems=systems)
-    failure, limited, limits = checked
+    if start_limits is not None:
+        failure, limited, limits_of = start_limits
 
-    @system(kind, "lane_failure")
-    def check_control(control: Any, model: Any, lane_failure: Failure) -> Failure:
-        low, high = limits(model)
-        value = getattr(control, limited)
-        return noted((low <= value) & (value <= high), failure, model.machine, lane_failure)
+        @system(kind, "lane_failure")
+        def check_control(control: Any, model: Any, lane_failure: Failure) -> Failure:
+            low, high = limits_of(model)
+            value = getattr(control, limited)
+            return noted((low <= value) & (value <= high), failure, model.machine, lane_failure)
 
-    systems[ControlJoining.START] = (check_control,)
-    return Control(kind=kind, constants=constants, systems=systems, failure=failure, limited=limited, limits=limits)
+        systems[ControlJoining.START] = (check_control,)
+    return Control(kind, constants, systems, start_limits)
 
 
 def stabiliser(
-    constants: Constants,
-    state: type,
-    rates: Callable[[Any, float, float, Any], tuple[Any, float]],
+    constants: Constants, state: type, rates: Callable[[Any, float, float, Any], tuple[Any, float]]
 ) -> Control:
     """Return a stabiliser, whose states are 0 at nominal speed.
 
@@ -149,7 +145,7 @@ def stabiliser(
 
     @system(kind, "control", "set_point")
     def start_stabiliser(voltage_reference: float) -> tuple[Any, float]:
-        return state(*(0.0,) * size(state)), voltage_reference
+        return state(*(0.0,) * count(state)), voltage_reference
 
     @system(kind, "control_rates", "voltage_reference")
     def rates_of_stabiliser(
@@ -212,7 +208,7 @@ def exciter(
         start_exciter,
         rates_of_exciter,
         lambda s, c: s._replace(regulator=clip(s.regulator, *limits(c))),
-        (StartFailure.EXCITER_LIMIT, "regulator", limits),
+        StartLimits(StartFailure.EXCITER_LIMIT, "regulator", limits),
     )
 
 
@@ -244,5 +240,5 @@ def governor(
         state_rates, torque = rates(control, speed, inputs.gate_reference, inputs.inv_droop, model)
         return each(lambda rate: inputs.connected * rate, state_rates), machine.rating * torque
 
-    checked = StartFailure.GOVERNOR_LIMIT, gate, gate_limits
-    return _control(kind, constants, start_governor, rates_of_governor, limit, checked)
+    start_limits = StartLimits(StartFailure.GOVERNOR_LIMIT, gate, gate_limits)
+    return _control(kind, constants, start_governor, rates_of_governor, limit, start_limits)

@@ -25,8 +25,6 @@ _LEAST_GATE = 0.01
 
 
 class Stab1State(NamedTuple):
-    """States of STAB1."""
-
     washout: float  # [p.u.]
     lead_lag_1: float
     lead_lag_2: float
@@ -57,8 +55,6 @@ class Denominator(NamedTuple):
 
 
 class IeeestState(NamedTuple):
-    """States of IEEEST."""
-
     slope_1: float  # rate of the next [p.u./s]
     filter_1: float  # [p.u.]
     slope_2: float
@@ -126,8 +122,6 @@ IEEEST = controls.stabiliser(
 
 
 class Ieeex1State(NamedTuple):
-    """States of IEEEX1."""
-
     sensed: float  # v [p.u.]
     lead_lag: float  # x [p.u.]
     regulator: float  # V_R [p.u.]
@@ -180,8 +174,6 @@ IEEEX1 = controls.exciter(
 
 
 class HydroState(NamedTuple):
-    """States of HYGOV."""
-
     speed_error: float  # e [p.u.]
     gate_order: float  # c [p.u.]
     hydro_gate: float  # g [p.u.]
@@ -218,7 +210,6 @@ def hydro_rates(s: HydroState, speed: float, reference: float, inv_droop: float,
 
 
 def hydro_limited(s: HydroState, c: Any) -> HydroState:
-    """Return the states, held within their limits."""
     return HydroState(s.speed_error, clip(s.gate_order, c.gate_min_pu, c.gate_max_pu), s.hydro_gate, s.flow)
 
 
@@ -236,8 +227,6 @@ HYDRO = HYGOV.kind
 
 
 class GastState(NamedTuple):
-    """States of GAST."""
-
     valve: float  # g [p.u.]
     combustion: float  # c [p.u.]
     exhaust: float  # θ [p.u.]
@@ -272,8 +261,6 @@ GAST = controls.governor(controls.Constants(parameters.GasGovernorParameters), G
 
 
 class Ieeeg1State(NamedTuple):
-    """States of IEEEG1."""
-
     governing: float  # x [p.u.]
     valve: float  # g [p.u.]
     steam_1: float  # s_1 [p.u.]
@@ -322,8 +309,6 @@ IEEEG1 = controls.governor(
 
 
 class IeesgoState(NamedTuple):
-    """States of IEESGO."""
-
     controlling: float  # x [p.u.]
     governing: float  # z [p.u.]
     valve: float  # s_1 [p.u.]

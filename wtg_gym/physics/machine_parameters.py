@@ -5,19 +5,26 @@ A time constant of 0 s takes its block away, except where its range says otherwi
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from wtg_gym.ranges import Checked, describe, design, parameter, required
 
 
-def _requires_lag(record: Checked, *pairs: tuple[str, str]) -> None:
-    """Refuse a block with a lead time and no lag, which would differentiate."""
-    for lead, lag in pairs:
-        if getattr(record, lead) > 0.0 and getattr(record, lag) == 0.0:
-            raise ValueError(
-                f"{type(record).__name__}: {lead} = {getattr(record, lead):g} s needs {lag} above 0 s: without a lag "
-                "the block would differentiate"
-            )
+@dataclass(frozen=True, kw_only=True)
+class LeadLags(Checked):
+    """Parameters of a control with lead-lags; a lead without a lag, which would differentiate, is refused."""
+
+    #: Fields of each block: lead and lag.
+    LEAD_LAGS: ClassVar[tuple[tuple[str, str], ...]] = (("lead_time_s", "lag_time_s"),)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for lead, lag in self.LEAD_LAGS:
+            if getattr(self, lead) > 0.0 and getattr(self, lag) == 0.0:
+                raise ValueError(
+                    f"{type(self).__name__}: {lead} = {getattr(self, lead):g} s needs {lag} above 0 s: without a lag "
+                    "the block would differentiate"
+                )
 
 
 def dead_band() -> Any:
@@ -80,10 +87,11 @@ class HydroGovernorParameters(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpeedStabiliserParameters(Checked):
+class SpeedStabiliserParameters(LeadLags):
     """STAB1: a washout of the speed deviation, two lead-lags, a limit."""
 
     MODEL = "STAB1"
+    LEAD_LAGS = (("lead_time_1_s", "lag_time_1_s"), ("lead_time_2_s", "lag_time_2_s"))
 
     gain: float = design(20.0, "p.u./p.u.", "gain K; K/T in data of PSS/E", 0.0, 1e4)
     washout_time_s: float = design(10.0, "s", "T of the washout", 1e-3, 1e4)
@@ -93,16 +101,13 @@ class SpeedStabiliserParameters(Checked):
     lag_time_2_s: float = design(5.4, "s", "T_4 of the second lead-lag", 0.0, 1e4)
     signal_limit_pu: float = design(0.03, "p.u.", "largest signal H_lim to either side", 1e-6, 1e3)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _requires_lag(self, ("lead_time_1_s", "lag_time_1_s"), ("lead_time_2_s", "lag_time_2_s"))
-
 
 @dataclass(frozen=True, kw_only=True)
-class FilterStabiliserParameters(Checked):
+class FilterStabiliserParameters(LeadLags):
     """IEEEST with the speed deviation as its input: a filter, two lead-lags, a washout, limits."""
 
     MODEL = "IEEEST"
+    LEAD_LAGS = (("lead_time_1_s", "lag_time_1_s"), ("lead_time_2_s", "lag_time_2_s"))
     RISING = ("signal_min_pu", "signal_max_pu")
 
     filter_a1_s: float = parameter(1.0, "s", "ANDES", "A_1 of the filter's first denominator", 0.0, 1e3)
@@ -125,7 +130,6 @@ class FilterStabiliserParameters(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _requires_lag(self, ("lead_time_1_s", "lag_time_1_s"), ("lead_time_2_s", "lag_time_2_s"))
         first, second, numerator = (
             2 if square != 0.0 else 1 if linear != 0.0 else 0
             for linear, square in (
@@ -164,7 +168,7 @@ class SaturatingExciterParameters(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeadLagExciterParameters(SaturatingExciterParameters):
+class LeadLagExciterParameters(LeadLags, SaturatingExciterParameters):
     """IEEEX1: IEEET1 with a lead-lag before the regulator."""
 
     MODEL = "IEEEX1"
@@ -172,13 +176,9 @@ class LeadLagExciterParameters(SaturatingExciterParameters):
     lead_time_s: float = parameter(1.0, "s", "ANDES", "T_C of the lead-lag", 0.0, 1e4)
     lag_time_s: float = parameter(1.0, "s", "ANDES", "T_B of the lead-lag", 0.0, 1e4)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _requires_lag(self, ("lead_time_s", "lag_time_s"))
-
 
 @dataclass(frozen=True, kw_only=True)
-class BoilerGovernorParameters(Checked):
+class BoilerGovernorParameters(LeadLags):
     """IEEEG1: a lead-lag, a valve with limits of speed and opening, four passes of steam; one shaft."""
 
     MODEL = "IEEEG1"
@@ -204,16 +204,16 @@ class BoilerGovernorParameters(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _requires_lag(self, ("lead_time_s", "lag_time_s"))
         if not self.fraction_1 + self.fraction_2 + self.fraction_3 + self.fraction_4 > 0.0:
             raise ValueError("BoilerGovernorParameters: one of the fractions must be above 0")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReheatGovernorParameters(Checked):
+class ReheatGovernorParameters(LeadLags):
     """IEESGO: a lag, a lead-lag, a limit, three stages of steam."""
 
     MODEL = "IEESGO"
+    LEAD_LAGS = (("lead_time_s", "governor_time_s"),)
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = design(0.05, "p.u.", "droop on the machine base, 1/K_1", 1e-4, 1e3)
@@ -228,10 +228,6 @@ class ReheatGovernorParameters(Checked):
     gate_min_pu: float = parameter(0.0, "p.u.", "ANDES", "least order P_min", -1e6, 1e6)
     gate_max_pu: float = parameter(5.0, "p.u.", "ANDES", "largest order P_max", -1e6, 1e6)
     dead_band_pu: float = dead_band()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _requires_lag(self, ("lead_time_s", "governor_time_s"))
 
 
 @dataclass(frozen=True, kw_only=True)

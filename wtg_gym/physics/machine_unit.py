@@ -32,7 +32,6 @@ def reference(speed: float) -> float:
 
 @system(MACHINES, "needed")
 def subtract_machine_power(needed: float, dispatch: float) -> float:
-    """Subtract the dispatched power of a machine."""
     return needed - dispatch
 
 
@@ -133,17 +132,36 @@ def rates_of_machine(
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, equations.MachineOutput]:
-    """Return rates and outputs; the torque is that of its governor, where that is a unit of its own.
+    """Return rates and outputs, by the equations of :mod:`wtg_gym.physics.machine`.
 
-    Of its equal parts a share is committed: the equations are those of all parts, of which each gives as much. After an
-    outage a machine keeps its states.
+    The torque is that of its governor, where that is a unit of its own. Of its equal parts a share is committed: the
+    equations are those of all parts, of which each gives as much. After an outage a machine keeps its states.
     """
+    s, u, c = state, inputs, machine
     i_re, i_im = inv_committed * current.re, inv_committed * current.im
-    rates, output = equations.machine_rates(state, emf, i_re, i_im, inputs, machine, iron, reference_speed, omega_n)
-    torque = select(machine.governor.is_unit > 0.5, turbine_torque, output.torque)
-    rates = rates._replace(speed=rates.speed + inputs.inv_two_h * (torque - output.torque))
-    power, torque = committed * output.power, committed * (inputs.connected * torque)
-    return each(lambda rate: inputs.connected * rate, rates), output._replace(power=power, torque=torque)
+    i_d, i_q = equations.in_rotor(emf, i_re, i_im)
+    voltage = equations.terminal_voltage(emf, i_re, i_im, c)
+    power = emf.e_d * i_d + emf.e_q * i_q
+    governor, torque = equations.governor_rates(s.governor, s.speed, u.gate_reference, u.inv_droop, c.governor)
+    torque = c.rating * torque
+    lag_d = s.psi_1d + c.x_d_leak * i_d - s.e_q_transient
+    lag_q = s.psi_2q + c.x_q_leak * i_q + s.e_d_transient
+    field = s.exciter.field_voltage - s.e_q_transient - c.x_d_field * (i_d - c.gamma_d2 * lag_d)
+    damper = -s.e_d_transient + c.x_q_field * (i_q - c.gamma_q2 * lag_q)
+    given = select(c.governor.is_unit > 0.5, turbine_torque, torque)
+    speed_rate = u.inv_two_h * (torque - power - c.damping * (s.speed - 1.0)) + u.inv_two_h * (given - torque)
+    rates = MachineState(
+        angle=omega_n * (s.speed - reference_speed),
+        speed=speed_rate,
+        e_q_transient=c.inv_t_d0_transient * (field - iron.d),
+        e_d_transient=c.inv_t_q0_transient * (damper - iron.q),
+        psi_1d=-c.inv_t_d0_subtransient * lag_d,
+        psi_2q=-c.inv_t_q0_subtransient * lag_q,
+        exciter=equations.exciter_rates(s.exciter, u.voltage_reference - voltage, c.exciter),
+        governor=governor,
+    )
+    output = equations.MachineOutput(committed * power, voltage, committed * (u.connected * given))
+    return each(lambda rate: u.connected * rate, rates), output
 
 
 @system(MACHINES, "gate_reference", when="secondary control")

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.grid import Branch
-from wtg_gym.systems.compiled import addressed, compiled, inlined, internal
-from wtg_gym.systems.programs import Complex, Floats
+from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.programs import Complex, Floats, Whole
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
@@ -68,7 +68,7 @@ def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
     return True
 
 
-def assemble_admittance(ends: "Whole", branch_y: Complex, bus_y: Complex) -> Complex:
+def assemble_admittance(ends: Whole, branch_y: Complex, bus_y: Complex) -> Complex:
     """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of closed branches plus `bus_y` (n_bus,) on the diagonal.
 
     Branches are given by the bus indices of their ends (n_branch, 2) and admittances ff, ft, tf, tt (n_branch, 4)
@@ -90,8 +90,8 @@ class PowerFlow(NamedTuple):
     voltage: int  # result [p.u.]
 
 
-@addressed
-def power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
+@compiled
+def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
     """Solve the power flow by Newton's method in polar form.
 
     The bus admittance matrix (n_bus, n_bus) is without loads [p.u.]. `at` are the columns in `buses` (n_bus, n); a
@@ -122,15 +122,9 @@ def power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
     return -1
 
 
-@compiled
-def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
-    """Solve the power flow as :func:`power_flow` does, from Python."""
-    return int(power_flow(y, slack, buses, at))
-
-
 @internal
 def _write_jacobian(a: Floats, turn: Complex, y: Complex, slack: int, buses: Floats, at: PowerFlow) -> float:
-    """Write sensitivities and mismatches of :func:`power_flow` to `a`; return the largest mismatch [p.u.]."""
+    """Write sensitivities and mismatches of a power flow to `a`; return the largest mismatch [p.u.]."""
     n, n_unknown = y.shape[0], a.shape[0]
     worst, q_row = 0.0, n - 1
     a[:] = 0.0
@@ -197,7 +191,6 @@ def note_flow(y: Complex, buses: Floats, at: PowerFlow) -> None:
         buses[k, at.flow], buses[k, at.flow + 1] = flow.real, flow.imag
 
 
-Whole = npt.NDArray[np.int64]
 #: Buses from which on the sparse elimination is quicker than the dense one.
 SPARSE_FROM = 20
 #: Largest mismatch accepted, over the sum of the powers that meet at the bus.

@@ -204,13 +204,7 @@ class VoltageControlParameters(Checked):
     )
     takeover_gain: float = design(1.0, "p.u./p.u.", "weight of reactive excess against voltage error", 0.0, 100.0)
     internal_voltage_min_pu: float = design(0.5, "p.u.", "least voltage behind X_g", 0.0, 1.0)
-    internal_voltage_max_pu: float = design(
-        1.4,
-        "p.u.",
-        "largest voltage behind X_g",
-        1.0,
-        10.0,
-    )
+    internal_voltage_max_pu: float = design(1.4, "p.u.", "largest voltage behind X_g", 1.0, 10.0)
 
 
 @dataclass(frozen=True, kw_only=True)

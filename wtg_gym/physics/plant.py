@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +13,14 @@ import numpy.typing as npt
 
 from wtg_gym.physics import integration, machine_models, machine_parameters, machine_unit, parameters, wind_turbine
 from wtg_gym.physics.aerodynamics import surface_of
+from wtg_gym.physics.converter import converter_limits, voltage_control
 from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
-from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
+from wtg_gym.physics.layout import Facts, Layout, Network, Span, names_of
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
 from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
-from wtg_gym.physics.protection import STAGES, SheddingConstants
+from wtg_gym.physics.protection import STAGES, Shedding
 from wtg_gym.physics.units import BUSES, ISLANDS, LANE, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
 from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
 from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
@@ -148,6 +148,12 @@ class Plant(Checked):
         return (*source_units(self.case.sources), *self.devices)
 
     @property
+    def unit_buses(self) -> tuple[int, ...]:
+        """Bus number of each unit: machines, WTG groups, devices."""
+        devices = (bus for device in self.all_devices for bus in device.buses)
+        return (*(machine.bus for machine in self.case.machines), *(group.bus for group in self.groups), *devices)
+
+    @property
     def turbines(self) -> tuple[TurbineParameters, ...]:
         """Turbines of each group; whether a rotor keeps its energy is a choice for all."""
         keeps = self.turbine.conserves_energy
@@ -213,35 +219,19 @@ class PlantTables(NamedTuple):
     saturation: tuple[RotorSaturation, ...]  # of each machine (n_sync,)
     controls: Mapping[str, npt.NDArray[np.void]]  # constants of those that are units, by the names of kinds
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
-    shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
+    shedding: npt.NDArray[np.void]  # (n_stages,), of Shedding
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
     of_lane: Mapping[str, Any]  # constants of every environment
     devices: tuple[Devices, ...]
-
-    @property
-    def saturates(self) -> bool:
-        """Whether the rotor of any machine saturates."""
-        return any(rotor.curve.gain > 0.0 for rotor in self.saturation)
-
-    @property
-    def device_units(self) -> list[Whole]:
-        """Numbers of the units of each of `devices`; they come after the groups."""
-        edges = np.cumsum([self.machines.size + self.share.size, *(len(device.buses) for device in self.devices)])
-        return [np.arange(first, last) for first, last in itertools.pairwise(edges)]
-
-    @property
-    def n_substeps(self) -> int:
-        """Simulation steps per control interval."""
-        return self.network.facts.n_substeps
 
     @property
     def simulation_dt(self) -> float:
         """Step of the integration [s]."""
         return self.network.facts.simulation_dt
 
-    def with_tables(self, tables: Tables) -> "PlantTables":
-        """Return the plant with other tables."""
-        return self._replace(network=self.network._replace(tables=tables))
+    def with_code(self, code: Whole) -> "PlantTables":
+        """Return the plant with the addresses of its machine code in this process."""
+        return self._replace(network=self.network._replace(tables=self.network.tables._replace(code=code)))
 
 
 def plant_tables(settings: Plant) -> PlantTables:
@@ -251,14 +241,14 @@ def plant_tables(settings: Plant) -> PlantTables:
     of_groups = settings.turbines or (settings.turbine,)
     of_all = settings.pitch, settings.control, settings.protection, settings.extended
     turbines = [wind_turbine.turbine_constants(turbine, *of_all) for turbine in of_groups]
-    limits = settings.limits, settings.voltage_control, settings.simulation_dt
-    extensions = [wind_turbine.extension_constants(turbine, *limits) for turbine in of_groups]
+    limits = converter_limits(settings.limits, settings.simulation_dt), voltage_control(settings.voltage_control)
+    extensions = [wind_turbine.Extension(*limits, float(turbine.conserves_energy)) for turbine in of_groups]
     sizes = zip(settings.groups, settings.turbines, strict=True)
     share = [group.n_turbines * turbine.rated_power_mw / base for group, turbine in sizes]
     impedances = [complex(machine.resistance, machine.internal_reactance) for machine in machines]
     impedances += [1j * turbines[0].converter.reactance / rating for rating in share]
     impedances += [impedance for device in settings.all_devices for impedance in device.impedances]
-    stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
+    stages = [Shedding(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
     # Each machine's share of what loads need at the start; none where the case dispatches them. A gate beyond 1 p.u.
     # says nothing about the power that a machine is meant for.
     sharing = [
@@ -279,7 +269,7 @@ def plant_tables(settings: Plant) -> PlantTables:
         saturation=tuple(rotor_saturation(machine) for machine in case.machines),
         controls=machine_models.control_constants(case.machines),
         extension=structured(wind_turbine.Extension, extensions * settings.extended),
-        shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
+        shedding=structured(Shedding, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, _buses_of(case, network.unit_bus)),
         of_lane={
             "omega_n": 2.0 * math.pi * case.frequency_hz,
@@ -312,8 +302,6 @@ def _buses_of(case: NetworkCase, unit_bus: Whole) -> list[Bus]:
 def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Network:
     """Return what compiled functions read of a plant, from the internal admittances of its units on [p.u.]."""
     case, base = settings.case, settings.case.base_mva
-    device_buses = [bus for device in settings.all_devices for bus in device.buses]
-    buses_of_units = (*(m.bus for m in case.machines), *(group.bus for group in settings.groups), *device_buses)
     ends = [(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus)) for branch in case.branches]
     branch_ends, branch_y = np.array(ends, dtype=np.int64).reshape(-1, 2), branch_admittances(case.branches)
     series = tuple(dataclasses.replace(branch, charging=0.0) for branch in case.branches)
@@ -336,7 +324,7 @@ def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Netw
         branch_y=branch_y,
         branch_series=branch_admittances(series),
         shunts=shunts,
-        unit_bus=np.array([case.bus_index(bus) for bus in buses_of_units], dtype=np.int64),
+        unit_bus=np.array([case.bus_index(bus) for bus in settings.unit_buses], dtype=np.int64),
         unit_y=unit_y,
         connected=np.zeros(unit_y.size, dtype=np.int64),
         angles=np.zeros(unit_y.size, dtype=np.int64),
@@ -427,7 +415,10 @@ def layout_of(plant: PlantTables, task: TaskUnits = NO_TASK) -> Layout:
         kind, of_machine = machine_models.CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
-    for units, device in zip(plant.device_units, plant.devices, strict=True):
+    first = plant.machines.size + plant.share.size
+    for device in plant.devices:
+        units = first + np.arange(len(device.buses))
+        first += units.size
         if device.kind in n_units or device.kind in task.n_units:
             raise ValueError(f"there are units of a kind {device.kind.name!r} already")
         n_units[device.kind] = units.size
@@ -468,26 +459,21 @@ class PlantMap:
             "constant voltage": not plant.extension.size,
             "no machine": not plant.machines.size,
             "sheds": plant.shedding.size > 0,
-            "saturates": plant.saturates,
+            "saturates": any(rotor.curve.gain > 0.0 for rotor in plant.saturation),
             "secondary control": plant.of_lane["secondary_gain"] > 0.0,
         }
         added = [*task.has, *(condition for device in plant.devices for condition in device.has)]
         require_known("conditions", added, [condition for kind in layout.counts for condition in kind.conditions])
         self._has = {*(condition for condition, holds in has.items() if holds), *added}
-        ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
-        sizes = [(rating, weight, 0.0) for rating, weight in zip(ratings, weights, strict=True)]
-        sizes += [(0.0, 0.0, weight) for weight in plant.share.tolist()]
-        sizes += [
-            (weight, weight, 0.0) if device.balances else (0.0, 0.0, weight)
-            for device in plant.devices
-            for weight in device.reactive_weights
-        ]
-        shares = [*plant.participation.tolist(), *[0.0] * (len(sizes) - plant.machines.size)]
+        # Rating, weights as a machine and as a group, participation.
+        machines = zip(plant.machines["rating"], plant.machines["reactive_weight"], plant.participation, strict=True)
+        sizes = [(rating, weight, 0.0, share) for rating, weight, share in machines]
+        sizes += [(0.0, 0.0, weight, 0.0) for weight in plant.share]
+        for device in plant.devices:
+            sizes += [(w, w, 0.0, 0.0) if device.balances else (0.0, 0.0, w, 0.0) for w in device.reactive_weights]
         connections = [
-            Connection(float(number), rating, of_machine, of_group, share, Phasor(y.real, y.imag))
-            for number, ((rating, of_machine, of_group), share, y) in enumerate(
-                zip(sizes, shares, network.unit_y, strict=True)
-            )
+            Connection(float(number), *size, Phasor(y.real, y.imag))
+            for number, (size, y) in enumerate(zip(sizes, network.unit_y, strict=True))
         ]
         self._constants: dict[tuple[Kind, str], Any] = {
             (machine_unit.MACHINES, "machine"): plant.machines,
@@ -533,7 +519,7 @@ def with_places(
     connected += [layout.rows_of(device.kind, "connected") for device in plant.devices]
     angles = [layout.machine("angle"), layout.wtg("angle")]
     for device in plant.devices:
-        turns = place_in(device.kind, "angle") is not None
+        turns = "angle" in names_of(device.kind)
         angles.append(layout.rows_of(device.kind, "angle") if turns else np.full(len(device.buses), -1))
     facts = plant.network.facts._replace(**spans)
     tables = build_table(programs, PlantMap(plant, layout, task), taped)

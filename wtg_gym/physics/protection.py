@@ -177,7 +177,7 @@ class Status(IntEnum):
     UNDER_SPEED = 7
 
 
-class SheddingConstants(NamedTuple):
+class Shedding(NamedTuple):
     """A stage of load shedding."""
 
     speed: float  # frequency of the centre of inertia at which it acts [p.u.]
@@ -190,7 +190,7 @@ class SheddingConstants(NamedTuple):
 STAGES = Kind(
     name="shedding stages",
     rows={"shed": float},
-    constants={"stage": SheddingConstants},
+    constants={"stage": Shedding},
     sees={"island": ISLANDS, "lane": LANE},
 )
 
@@ -276,13 +276,7 @@ def alarm_island(centre: float, alarm: float, was_low: float, shedding_speed: fl
 
 @system(STAGES, "shed", "next_change")
 def shed_load(
-    shed: float,
-    stage: SheddingConstants,
-    next_change: float,
-    centre: float,
-    step: float,
-    active: float,
-    simulation_dt: float,
+    shed: float, stage: Shedding, next_change: float, centre: float, step: float, active: float, simulation_dt: float
 ) -> tuple[float, float]:
     """Shed a stage whose delay has passed; the network changes before the next step."""
     waits = (shed >= 0.0) & (active > 0.5)
@@ -294,7 +288,6 @@ def shed_load(
 
 @system(LANE, "shed_energy", when="extended")
 def count_shed_energy(shed_energy: float, unserved: float, active: float, simulation_dt: float) -> float:
-    """Count the load that is not served."""
     return shed_energy + select(active > 0.5, unserved * simulation_dt, 0.0)
 
 

@@ -10,6 +10,7 @@ Boor: A Practical Guide to Splines, chapter XVII.
 import functools
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -125,16 +126,13 @@ def tabulated_power_coefficient(ratio: float, pitch_deg: float, cells: Cells | e
     v = clip(pitch_deg * g.inv_pitch_step, 0.0, n_pitch * 1.0)
     first, second = min(math.floor(u), n_ratio - 1.0), min(math.floor(v), n_pitch - 1.0)
     i, j, u, v = np.int64(first), np.int64(second), u - first, v - second
-    value = _cubic(cells[i, j, 0], cells[i, j, 1], cells[i, j, 2], cells[i, j, 3], u)
-    first_order = _cubic(cells[i, j, 4], cells[i, j, 5], cells[i, j, 6], cells[i, j, 7], u)
-    second_order = _cubic(cells[i, j, 8], cells[i, j, 9], cells[i, j, 10], cells[i, j, 11], u)
-    third_order = _cubic(cells[i, j, 12], cells[i, j, 13], cells[i, j, 14], cells[i, j, 15], u)
+    orders = [_cubic([cells[i, j, 4 * n + m] for m in range(4)], u) for n in range(4)]
     # To zero at a rotor that stands still.
-    return _cubic(value, first_order, second_order, third_order, v) * min(ratio * g.inv_ratio_min, 1.0)
+    return _cubic(orders, v) * min(ratio * g.inv_ratio_min, 1.0)
 
 
-def _cubic(c0: float, c1: float, c2: float, c3: float, x: float) -> float:
-    return fma(fma(fma(c3, x, c2), x, c1), x, c0)
+def _cubic(c: Sequence[float], x: float) -> float:
+    return fma(fma(fma(c[3], x, c[2]), x, c[1]), x, c[0])
 
 
 def read_rotor_table(path: Path) -> RotorTable:

@@ -78,16 +78,12 @@ _N_CHANNELS = len(Noise._fields)
 
 
 class SensorState(NamedTuple):
-    """States of a WTG group's sensors."""
-
     frequency: float  # filtered [p.u.]
     rocof: float  # filtered [Hz/s]
     wind_error: float  # slow error of the wind, in standard deviations
 
 
 class Measurement(NamedTuple):
-    """What a WTG group measures."""
-
     frequency: float  # [p.u.]
     rocof: float  # [Hz/s]
     rotor_speed: float  # [p.u.]

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -30,20 +29,14 @@ class BlockThreads:
     """Threads that work on blocks: at most `n_threads`, None for one per processor."""
 
     def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
-        self.n_blocks = n_blocks
-        self.n_threads = n_threads
-        #: Never more than at construction, or when copied to this machine: each worker's memory was made then.
-        self._most = self._wanted()
+        self.n_blocks, self.n_threads = n_blocks, n_threads
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
+        self._count_workers()
 
-    @property
-    def n_workers(self) -> int:
-        """Threads that work on blocks at once."""
-        return min(self._most, self._wanted())
-
-    def _wanted(self) -> int:
-        return max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
+    def _count_workers(self) -> None:
+        #: Threads that work on blocks at once; each has memory of its own.
+        self.n_workers = max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
 
     @undivided
     def run(
@@ -57,8 +50,7 @@ class BlockThreads:
         It is compiled with nogil, so that it releases the interpreter's lock. `meanwhile`, which takes as long as so
         many blocks, is called once, by this thread, while others work.
         """
-        n_blocks = self.n_blocks
-        n_threads = self.n_workers
+        n_blocks, n_threads = self.n_blocks, self.n_workers
         futures, main_end = [], n_blocks
         if n_threads > 1:
             main_end = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
@@ -91,8 +83,9 @@ class BlockThreads:
         return {**self.__dict__, "_pool": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        # It may be on another machine.
         self.__dict__.update(state)
-        self._most = self._wanted()
+        self._count_workers()
 
 
 #: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
@@ -191,7 +184,6 @@ class Simulator:
         self._rates = np.zeros((0, 0, 0))
         for lane in range(self.n_lanes, n_blocks * self.width):
             rows = self._lane_view(lane)
-            rows[:] = 0.0
             padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
             self._write_machine_inputs(rows[None, :], [padding])
             for name in ("wind", "wind_start"):
@@ -228,7 +220,7 @@ class Simulator:
             routines: dict[int, tuple[Routine, ...]] = {1: (*integration.STARTING, *task.starting)}
             routines[self.width] = (*integration.STEPPING, *task.stepping, *routines.get(self.width, ()))
             code.append(code_of(programs, routines, functions))
-        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code[0]))
+        self.plant = self.plant.with_code(code[0])
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float = 1.0, committed: float = 1.0) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
@@ -327,9 +319,8 @@ class Simulator:
         data = self._allocate_data(n, max([1, *map(len, events)]))
         for lane, scenario in enumerate(scenarios):
             self._write_series(data, lane, scenario)
-        places = [(lane, place) for lane, lane_events in enumerate(events) for place in range(len(lane_events))]
-        if places:
-            data.events[tuple(np.transpose(places))] = np.array([*itertools.chain(*events)], dtype=NO_EVENT.dtype)
+        for lane, changes in enumerate(events):
+            data.events[lane, : len(changes)] = np.array(changes, dtype=NO_EVENT.dtype)
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
         rows[:, self._law_rows] = _law_numbers(tuple(laws))
@@ -367,11 +358,10 @@ class Simulator:
         if index.size != places.size:
             raise ValueError(f"a prepared run is needed for each of {index.size} lanes, got {places.size}")
         self.blocks[index // self.width, :, index % self.width] = prepared.rows[places]
-        *arrays, events = self.data
+        wind, noise, events = self.data
+        wind[index], noise[index] = prepared.data.wind[places], prepared.data.noise[places]
         events[index] = NO_EVENT
         events[index, :n_events] = prepared.data.events[places]
-        for array, series in zip(arrays, prepared.data[:-1], strict=True):
-            array[index] = series[places]
 
     def _write_series(self, data: LaneData, lane: int, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals
@@ -456,10 +446,6 @@ class Simulator:
     def state(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's state vector; `layout.state_names` names its entries."""
         return self._lane_view(lane)[self.layout.state_rows]
-
-    def set_state(self, state: Floats, lane: int = 0) -> None:
-        """Overwrite a lane's state vector."""
-        self._lane_view(lane)[self.layout.state_rows] = state
 
     def rates(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's time derivatives, as last evaluated."""

@@ -14,19 +14,16 @@ from wtg_gym.systems.systems import system
 
 @system(BUSES, "needed")
 def add_needed_load(needed: float, load_level: float, bus: Bus) -> float:
-    """Add a load."""
     return needed + load_level * bus.load.re
 
 
 @system(GROUPS, "needed")
 def subtract_group_power(needed: float, planned_power: float) -> float:
-    """Subtract the power of a group."""
     return needed - planned_power
 
 
 @system(BUSES, "lacking")
 def find_slack_mismatch(lacking: float, flow: Phasor, planned: Phasor, bus: Bus) -> float:
-    """Find the power that the slack bus lacks."""
     return lacking + select(bus.is_slack, flow.re - planned.re, 0.0)
 
 

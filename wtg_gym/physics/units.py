@@ -1,12 +1,13 @@
 """The environment ("lane") that all units are in, and the network between them."""
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
 
 from wtg_gym.physics.wind_turbine import Limits
-from wtg_gym.systems.elementary import fma, select
+from wtg_gym.systems.elementary import fma, select, sine_cosine
 from wtg_gym.systems.systems import Kind, System, each, system
 
 _OF_STAGE = ("active", "ahead", "first", "last")
@@ -104,8 +105,6 @@ class Sizes(NamedTuple):
 
 
 class Bus(NamedTuple):
-    """Constants of a bus."""
-
     load: Phasor  # P + jQ of the case [p.u.]
     voltage: float  # held, or where the power flow starts [p.u.]
     holds_voltage: bool
@@ -384,6 +383,19 @@ def quotient(a: Phasor, b: Phasor) -> Phasor:
         select(by_real, a.re + a.im * ratio, a.re * ratio + a.im) / below,
         select(by_real, a.im - a.re * ratio, a.im * ratio - a.re) / below,
     )
+
+
+def phasor(size: float, angle: float) -> Phasor:
+    """Return a voltage of a size [p.u.] and an angle [rad]."""
+    sine, cosine = sine_cosine(angle)
+    return Phasor(size * cosine, size * sine)
+
+
+def internal_voltage(start: Terminal, connection: Connection) -> tuple[float, float]:
+    """Return size [p.u.] and angle [rad] of the voltage behind a unit's impedance at the start of a run."""
+    drop = quotient(start.current, connection.y)
+    re, im = start.voltage.re + drop.re, start.voltage.im + drop.im
+    return math.hypot(re, im), math.atan2(im, re)
 
 
 @system(LANE, "noise_factor")

@@ -13,13 +13,11 @@ from typing import NamedTuple
 from wtg_gym.physics import aerodynamics, parameters
 from wtg_gym.physics import converter as gfm
 from wtg_gym.physics.rotor_table import Grid
-from wtg_gym.systems.elementary import clip, limited_rate, sine_cosine
+from wtg_gym.systems.elementary import clip, limited_rate
 from wtg_gym.systems.systems import each
 
 
 class Pitch(NamedTuple):
-    """Constants of the pitch protection."""
-
     power_limit: float  # p_max at ω_st [p.u.]
     power_limit_low: float  # at ω_min
     power_limit_high: float  # at ω_max
@@ -34,16 +32,8 @@ class Pitch(NamedTuple):
 
 
 class PitchState(NamedTuple):
-    """States of the pitch protection."""
-
     pitch_integral: float  # I [deg]
     pitch: float  # β [deg]
-
-
-def pitch_constants(p: parameters.PitchParameters, shares: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Pitch:
-    """Return the constants; `shares` of the largest captured power are the limits at ω_min, ω_st and ω_max."""
-    low, nominal, high = (p.captured_power_limit_pu * share for share in shares)
-    return parameters.constants_of(Pitch, p, power_limit=nominal, power_limit_low=low, power_limit_high=high)
 
 
 def pitch_rates(s: PitchState, captured: float, rotor_speed: float, power_limit: float, c: Pitch) -> PitchState:
@@ -69,8 +59,6 @@ def pitch_rates(s: PitchState, captured: float, rotor_speed: float, power_limit:
 
 
 class Rotor(NamedTuple):
-    """Constants of the rotor."""
-
     curve: aerodynamics.CurveConstants
     grid: Grid
     tip_speed: float  # ω_tn R [m/s]
@@ -101,8 +89,6 @@ class Limits(NamedTuple):
 
 
 class Turbine(NamedTuple):
-    """Constants of a wind turbine."""
-
     rotor: Rotor
     pitch: Pitch
     converter: gfm.Converter
@@ -118,8 +104,6 @@ class Extension(NamedTuple):
 
 
 class WtgState(NamedTuple):
-    """States of a group."""
-
     converter: gfm.ConverterState
     rotor_speed: float  # ω_m [p.u.]
     pitch: PitchState
@@ -138,8 +122,6 @@ class WtgInput(NamedTuple):
 
 
 class WtgOutput(NamedTuple):
-    """Outputs."""
-
     wind: float  # v [m/s]
     power: float  # p into the grid [p.u.]
     captured: float  # p_w [p.u.]
@@ -171,12 +153,6 @@ class ExtensionOutput(NamedTuple):
     reactive: float  # q at the terminal [p.u.]
     current: float  # |I| [p.u.]
     cut: float  # X_v |I|, what the current limiter takes from E [p.u.]
-
-
-def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
-    """Return the real and imaginary part of the voltage behind the reactance, in the network's frame [p.u.]."""
-    sine, cosine = sine_cosine(s.converter.angle)
-    return emf * cosine, emf * sine
 
 
 def wind_at(u: WtgInput, fraction: float) -> float:
@@ -226,7 +202,6 @@ def extension_limited(x: ExtensionState, e: Extension) -> ExtensionState:
 
 
 def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
-    """Return the states, held within their limits."""
     most = c.pitch.largest_angle
     return s._replace(pitch=PitchState(clip(s.pitch.pitch_integral, 0.0, most), clip(s.pitch.pitch, 0.0, most)))
 
@@ -240,6 +215,7 @@ def turbine_constants(
 ) -> Turbine:
     """Return the constants of a turbine, extended or not, its controls and its protections."""
     reserve = (1.0, 1.0 - control.deloading_nominal, 1.0 - control.deloading_limit) if extended else (1.0, 1.0, 1.0)
+    low, nominal, high = (pitch.captured_power_limit_pu * share for share in reserve)
     best = aerodynamics.tracking_point(0.0, turbine)
     rotor = Rotor(
         curve=aerodynamics.curve_constants(turbine.power_coefficient),
@@ -251,18 +227,9 @@ def turbine_constants(
         tip_speed_ratio_limit=aerodynamics.tracking_point(control.deloading_limit, turbine).tip_speed_ratio,
         available_per_cubic_wind=turbine.wind_power_pu_per_cubic_wind * best.power_coefficient,
     )
-    spread = math.radians(protection.angle_spread_max_deg)
-    limits = parameters.constants_of(Limits, protection, angle_spread=spread)
-    return Turbine(rotor, pitch_constants(pitch, reserve), gfm.converter_constants(control), limits)
-
-
-def extension_constants(
-    turbine: parameters.TurbineParameters,
-    limits: parameters.ConverterLimitParameters | None,
-    control: parameters.VoltageControlParameters | None,
-    simulation_dt: float,
-) -> Extension:
-    """Return the constants of an extended group, for a simulation step [s]."""
-    return Extension(
-        gfm.converter_limits(limits, simulation_dt), gfm.voltage_control(control), float(turbine.conserves_energy)
+    return Turbine(
+        rotor,
+        parameters.constants_of(Pitch, pitch, power_limit=nominal, power_limit_low=low, power_limit_high=high),
+        gfm.converter_constants(control),
+        parameters.constants_of(Limits, protection, angle_spread=math.radians(protection.angle_spread_max_deg)),
     )

@@ -127,13 +127,12 @@ def start_group(
     start: units.Terminal, connection: Connection, rotor_speed: float, pitch: float, frame: float
 ) -> tuple[WtgState, float, float, equations.WtgExtremes]:
     """Return the state of a group in the equilibrium that the search has found, and its internal voltage."""
-    drop = units.quotient(start.current, connection.y)
-    emf = Phasor(start.voltage.re + drop.re, start.voltage.im + drop.im)
-    converter = gfm.ConverterState(angle=math.atan2(emf.im, emf.re) - frame, speed=1.0, filter=0.0)
+    emf, angle = units.internal_voltage(start, connection)
+    converter = gfm.ConverterState(angle=angle - frame, speed=1.0, filter=0.0)
     state = WtgState(
         converter, rotor_speed, equations.PitchState(pitch, pitch), energy_captured=0.0, energy_delivered=0.0
     )
-    return state, math.hypot(emf.re, emf.im), 1.0, equations.WtgExtremes(-math.inf, math.inf, -math.inf, 0.0)
+    return state, emf, 1.0, equations.WtgExtremes(-math.inf, math.inf, -math.inf, 0.0)
 
 
 @system(GROUPS, "k_min", "k_nominal", "k_max", when="no machine")
@@ -145,7 +144,7 @@ def curtail_law(k_min: float, k_nominal: float, k_max: float, curtailment: float
 @system(GROUPS, "voltage", when="constant voltage")
 def voltage_of_group(state: WtgState, inputs: WtgInput) -> Phasor:
     """Return the voltage behind the reactance."""
-    return Phasor(*equations.wtg_voltage(state, inputs.emf))
+    return units.phasor(inputs.emf, state.converter.angle)
 
 
 @system(GROUPS, "own_captured", when="curve")
@@ -247,7 +246,7 @@ def check_extension(
 @system(EXTENSIONS, "voltage")
 def voltage_of_extended(state: WtgState, extension_state: ExtensionState) -> Phasor:
     """Return the voltage behind the reactance."""
-    return Phasor(*equations.wtg_voltage(state, extension_state.internal_voltage))
+    return units.phasor(extension_state.internal_voltage, state.converter.angle)
 
 
 @system(EXTENSIONS, "reactance", "source", "exceeded")

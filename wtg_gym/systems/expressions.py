@@ -158,7 +158,6 @@ def multiply_add(a: Any, b: Any, c: Any) -> Any:
 
 
 def is_finite(a: Any) -> Any:
-    """Return whether a number is finite."""
     return absolute(a) < math.inf
 
 
@@ -177,40 +176,17 @@ class Cells:
 
 
 def sine_cosine(angle: Any) -> tuple[Any, Any]:
-    """Return sine and cosine."""
     return number("sine", angle), number("cosine", angle)
 
 
 _CONSTANT: dict[str, Callable[..., Any]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": operator.truediv,
-    "power": operator.pow,
-    "neg": operator.neg,
-    "abs": abs,
-    "lt": operator.lt,
-    "le": operator.le,
-    "eq": operator.eq,
-    "ne": operator.ne,
-    "and": operator.and_,
-    "or": operator.or_,
-    "invert": operator.not_,
-    "min": min,
-    "max": max,
-    "sqrt": math.sqrt,
-    "atan2": math.atan2,
-    "hypot": math.hypot,
-    "noise": elementary.noise,
-    "sin": math.sin,
-    "cos": math.cos,
-    "floor": math.floor,
-    "ceil": math.ceil,
-    "exponential": elementary.exponential,
+    **{name: getattr(operator, name) for name in ("add", "sub", "mul", "neg", "abs", "lt", "le", "eq", "ne")},
+    **{"div": operator.truediv, "power": operator.pow, "min": min, "max": max},
+    **{"and": operator.and_, "or": operator.or_, "invert": operator.not_},
+    **{name: getattr(math, name) for name in ("sqrt", "atan2", "hypot", "sin", "cos", "floor", "ceil")},
+    **{name: getattr(elementary, name) for name in ("noise", "exponential", "select", "fma")},
     "sine": lambda a: elementary.sine_cosine(a)[0],
     "cosine": lambda a: elementary.sine_cosine(a)[1],
-    "select": lambda condition, value, other: value if condition else other,
-    "fma": elementary.fma,
 }
 
 

@@ -8,7 +8,6 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -25,7 +24,6 @@ Complex = npt.NDArray[np.complex128]
 HEAD = 4
 #: Entries of a program, at most.
 _MOST = 40
-_NOBODY: Mapping[str, Sequence[System]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +83,6 @@ class Here(NamedTuple):
     """Where the systems of devices join a list, by the name that they call the place."""
 
     name: StrEnum
-    otherwise: tuple[System, ...] = ()  # what stands there where none joins
 
 
 class Each(NamedTuple):
@@ -145,7 +142,7 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
     """Yield entries, with the systems of devices where they join."""
     for entry in entries:
         if isinstance(entry, Here):
-            yield from joining.get(entry.name, entry.otherwise)
+            yield from joining.get(entry.name, ())
         elif isinstance(entry, (When, Repeat)):
             yield replace(entry, entries=tuple(_with(entry.entries, joining)))
         else:
@@ -153,16 +150,11 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
 
 
 class Program:
-    """A list of systems and control blocks, the program of a number among those that share a table.
+    """A list of systems and control blocks, the program of a number among those that share a table."""
 
-    `joining` has systems of devices, by the places where they join.
-    """
-
-    def __init__(
-        self, name: str, entries: Sequence[Any], number: int, joining: Mapping[str, Sequence[System]] = _NOBODY
-    ) -> None:
+    def __init__(self, name: str, entries: Sequence[Any], number: int) -> None:
         self.name, self.number, self._unjoined = name, number, tuple(entries)
-        self.entries: tuple[Any, ...] = tuple(_with(entries, joining))
+        self.entries: tuple[Any, ...] = tuple(_with(entries, {}))
         self.places = {id(entry): _MOST * number + i for i, entry in enumerate(_flat(self.entries))}
         self._digests: dict[bool, str] = {}
         if len(self.places) > _MOST:
@@ -171,8 +163,8 @@ class Program:
             raise ValueError(f"a system stands in program {name!r} twice")
 
     def joined(self, joining: Mapping[str, Sequence[System]]) -> "Program":
-        """Return the program with systems of devices."""
-        return Program(self.name, self._unjoined, self.number, joining) if joining else self
+        """Return the program with systems of devices, by the places where they join."""
+        return Program(self.name, tuple(_with(self._unjoined, joining)), self.number) if joining else self
 
     def digest(self, *, back: bool = False) -> str:
         """Return a hash of everything that its machine code depends on, or that of the way back through it."""
@@ -187,7 +179,8 @@ class Program:
 
     def tape_rows(self, plant: MemoryMap) -> int:
         """Return how many rows a run of the program notes."""
-        return sum(_tape_rows(entry, plant) for entry in _flat(self.entries))
+        systems = (entry for entry in _flat(self.entries) if isinstance(entry, System))
+        return sum(len(system.noted) * _n_units(system, plant) for system in systems)
 
 
 def _content(entry: Any) -> tuple[Any, ...]:
@@ -223,10 +216,6 @@ def _n_units(entry: Any, plant: MemoryMap) -> int:
     return plant.n_units(entry.units) if isinstance(entry, Product) else 1
 
 
-def _tape_rows(entry: Any, plant: MemoryMap) -> int:
-    return len(entry.noted) * _n_units(entry, plant) if isinstance(entry, System) else 0
-
-
 def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = ()) -> Tables:
     """Return the tables of programs for a plant; `taped` are those of them that have a way back."""
     head = np.zeros((_MOST * len(programs), HEAD), dtype=np.int64)
@@ -236,13 +225,13 @@ def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[P
         for entry in _flat(program.entries):
             row, n = head[program.places[id(entry)]], _n_units(entry, plant)
             row[:] = n, head.size + len(rows), len(numbers), n_taped
-            n_taped += _tape_rows(entry, plant) if program in taped else 0
             if isinstance(entry, System):
                 # Tables of cells come before the constants of the system.
                 values = _constants_of(entry, plant, n, numbers, cells)
                 row[2] = len(numbers)
                 rows += _system_rows(entry, plant, n)
                 numbers += values
+                n_taped += len(entry.noted) * n if program in taped else 0
             elif isinstance(entry, Product):
                 rows += _product_rows(entry, plant)
             else:
@@ -309,18 +298,12 @@ def _constants_of(system: System, plant: MemoryMap, n: int, numbers: list[float]
             entries: list[Any] = [(cells[key], *np.shape(constants)[:2])] * n
         else:
             chosen = constants if not place.seen else [constants[i] for i in plant.seen(system.kind, place.seen)]
-            entries = [_numbers(value) for value in chosen]
+            entries = [flatten(value.item() if isinstance(value, np.void) else value) for value in chosen]
         names = [name for name, _ in constants_of(argument, place.record)]
         table = np.array(entries, dtype=np.float64).reshape(n, len(names))
         values |= dict(zip(names, table.T, strict=True))
     flat: list[float] = np.stack([values[name] for name in used], axis=1).ravel().tolist()
     return flat
-
-
-def _numbers(value: Any) -> tuple[Any, ...]:
-    """Return the numbers of a constant: a record, an entry of a structured array, or a number."""
-    plain = value.item() if isinstance(value, np.void) else value
-    return flatten(plain) if isinstance(plain, tuple) else (plain,)
 
 
 def unconditional(entries: Sequence[Any]) -> tuple[Any, ...]:

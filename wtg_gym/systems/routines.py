@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 from wtg_gym.systems import compiled
 from wtg_gym.systems.programs import NONE, Floats, Program, Tables, Whole
 from wtg_gym.systems.systems import SCALARS
-from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
+from wtg_gym.systems.writers import Writer
 
 #: Lanes of a wide block: two vectors of the widest processors.
 WIDE = 16
@@ -29,20 +29,8 @@ WIDE = 16
 _ADDRESSES: dict[bytes, int] = {}
 #: Routines that one program has, at most, and functions that are called at an address.
 _PLACES, _FUNCTIONS = 4, 4
-_NUMBERS, _WHOLES, _DOUBLE, _WHOLE = (
-    ir.DoubleType().as_pointer(),
-    ir.IntType(64).as_pointer(),
-    ir.DoubleType(),
-    ir.IntType(64),
-)
-#: Arrays that the routines of a writer are given, and what they do.
-_OF_WRITER = {
-    Writer: (2, "run"),
-    TapedWriter: (3, "taped"),
-    NotingWriter: (3, "noted"),
-    BackWriter: (5, "back with constants"),
-    BackWithoutConstants: (5, "back"),
-}
+_DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
+_NUMBERS, _WHOLES = _DOUBLE.as_pointer(), _WHOLE.as_pointer()
 
 
 class Routine:
@@ -60,14 +48,14 @@ class Routine:
     def __init__(self, program: Program, writer: type[Writer] = Writer, place: int = 0, **known: float) -> None:
         self.program, self.place, self._writer, self._known = program, place, writer, known
         self._at = _FUNCTIONS + 2 * (program.number * _PLACES + place)
-        self.call = _call(self._at, _OF_WRITER[writer][0])
+        self.call = _call(self._at, writer.n_arrays)
 
     def address(self, program: Program, width: int) -> int:
         """Return where the machine code of a program for blocks of a width is in this process.
 
         Compiles on first use. `program` may be extended by user-defined devices.
         """
-        n_arrays, purpose = _OF_WRITER[self._writer]
+        n_arrays, purpose = self._writer.n_arrays, self._writer.purpose
         content = (program.digest(back=n_arrays > 2), purpose, width, sorted(self._known.items()), _writers_hash())
         folder = compiled.cache_folder()
         places = [
@@ -117,7 +105,7 @@ class Routine:
             function(*(data + block * stride for data, stride in places), *constant)
 
     def _compiled(self, program: Program, name: str, width: int) -> bytes:
-        n_arrays, _ = _OF_WRITER[self._writer]
+        n_arrays = self._writer.n_arrays
         module = ir.Module(name)
         module.triple, module.data_layout = _processor()[0], str(_machine().target_data)
         function = ir.Function(module, _signature(n_arrays), name)

@@ -31,17 +31,12 @@ def is_record(value: Any) -> bool:
 
 
 @functools.cache
-def leaves(record: Any) -> tuple[str, ...]:
-    """Return the dotted names of a record's numbers, in their order: ("angle", …, "exciter.lead_lag", …)."""
-    names: list[str] = []
+def leaves(record: Any) -> dict[str, Any]:
+    """Return the types of a record's numbers by dotted names, in their order: "angle", …, "exciter.lead_lag", …"""
+    types: dict[str, Any] = {}
     for name, hint in get_type_hints(record).items():
-        names += [f"{name}.{leaf}" for leaf in leaves(hint)] if is_record(hint) else [name]
-    return tuple(names)
-
-
-def size(record: Any) -> int:
-    """Return how many numbers a record has."""
-    return len(leaves(record))
+        types |= {f"{name}.{leaf}": type_ for leaf, type_ in leaves(hint).items()} if is_record(hint) else {name: hint}
+    return types
 
 
 @functools.cache
@@ -53,26 +48,12 @@ def short_names(record: Any) -> tuple[str, ...]:
 @functools.cache
 def dtype(record: type) -> np.dtype[Any]:
     """Return the data type of a record of constants, with :func:`leaves` as names; floats, whole numbers and flags."""
-    return np.dtype(
-        [(leaf, _DTYPES[hint]) for leaf, hint in zip(leaves(record), types_of(record), strict=True)], align=True
-    )
+    return np.dtype([(leaf, _DTYPES[type_]) for leaf, type_ in leaves(record).items()], align=True)
 
 
-def types_of(record: type) -> Iterator[Any]:
-    """Yield the types of a record's numbers, in the order of :func:`leaves`."""
-    for hint in get_type_hints(record).values():
-        if is_record(hint):
-            yield from types_of(hint)
-        else:
-            yield hint
-
-
-def flatten(values: Any) -> tuple[Any, ...]:
-    """Return the numbers of a record's values, in the order of :func:`leaves`."""
-    flat: list[Any] = []
-    for value in values:
-        flat += flatten(value) if is_record(type(value)) else [value]
-    return tuple(flat)
+def flatten(value: Any) -> tuple[Any, ...]:
+    """Return the numbers of a record, in the order of :func:`leaves`, or a single number."""
+    return tuple(number for part in value for number in flatten(part)) if isinstance(value, tuple) else (value,)
 
 
 def structured(record: type, entries: Any) -> np.ndarray[Any, np.dtype[Any]]:
@@ -206,11 +187,6 @@ class Place(NamedTuple):
     name: str = ""  # the full one
 
     @property
-    def numbers(self) -> range:
-        """Places of its numbers within the part."""
-        return range(self.offset, self.offset + count(self.record))
-
-    @property
     def in_scratch(self) -> bool:
         """Whether it lies in scratch."""
         return self.where == "scratch"
@@ -266,8 +242,7 @@ class System:
         for name in self.writes:
             if not self.places[name].has_rows:
                 raise TypeError(f"system {self.name!r} writes {name!r}, which is one of the {self.places[name].where}")
-        places = [self.places[name] for name in self.writes]
-        written = [(place.kind.name, place.seen, place.part, number) for place in places for number in place.numbers]
+        written = [self.row(name, k) for name in self.writes for k in range(count(self.places[name].record))]
         if len(set(written)) < len(written):
             raise TypeError(f"system {self.name!r} writes a number twice: {', '.join(self.writes)}")
         for name, annotation in self._annotations().items():
@@ -305,7 +280,6 @@ class System:
 
     @property
     def name(self) -> str:
-        """Name of the function."""
         return self.equation.__name__
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
@@ -320,7 +294,6 @@ class System:
 
     @functools.cached_property
     def arguments_named(self) -> tuple[str, ...]:
-        """Names of the arguments."""
         return self.arguments or _parameters(self.equation)
 
     @property
@@ -353,8 +326,7 @@ class System:
             if type_ is not record:
                 wrong, right = inspect.formatannotation(type_), inspect.formatannotation(record)
                 raise TypeError(f"system {self.name!r} writes {wrong} to {name!r}, which is {right}")
-            values = flatten(value) if is_record(type_) else (value,)
-            trace.stores.extend((name, place, number) for place, number in enumerate(values))
+            trace.stores.extend((name, place, number) for place, number in enumerate(flatten(value)))
         return trace
 
     @functools.cached_property
@@ -444,7 +416,7 @@ def setting(kind: Kind, when: str | None = None, **values: Any) -> System:
 
 def count(record: Any) -> int:
     """Return how many numbers a part has: a record, or a single number."""
-    return size(record) if is_record(record) else 1
+    return len(leaves(record)) if is_record(record) else 1
 
 
 def built(record: Any, values: Iterator[Any]) -> Any:
@@ -460,4 +432,4 @@ def constants_of(name: str, record: Any) -> list[tuple[str, Any]]:
         return [(f"{name}.{leaf}", float) for leaf in ex.Cells.LEAVES]
     if not is_record(record):
         return [(name, record)]
-    return [(f"{name}.{leaf}", hint) for leaf, hint in zip(leaves(record), types_of(record), strict=True)]
+    return [(f"{name}.{leaf}", type_) for leaf, type_ in leaves(record).items()]

@@ -40,7 +40,6 @@ class Lanes:
         self.bits = _BIT if width == 1 else ir.VectorType(_BIT, width)
 
     def constant(self, value: Any) -> Any:
-        """Return a constant."""
         type_ = self.bits if isinstance(value, bool) else self.vector
         number = bool(value) if isinstance(value, bool) else float(value)
         return ir.Constant(type_, number if self.width == 1 else [number] * self.width)

@@ -20,6 +20,9 @@ _ROWS_AT_ONCE = 2
 class Writer:
     """What writes the instructions of a program."""
 
+    #: Arrays that its routines are given, and what they do.
+    n_arrays, purpose = 2, "run"
+
     def __init__(
         self,
         builder: Any,
@@ -209,6 +212,8 @@ class Writer:
 class TapedWriter(Writer):
     """Writes a program that notes on a tape what the way back needs."""
 
+    n_arrays, purpose = 3, "taped"
+
     def _notes(self, system: System, at: tuple[str, int]) -> bool:
         return at in system.noted
 
@@ -226,6 +231,8 @@ class TapedWriter(Writer):
 class NotingWriter(TapedWriter):
     """Writes a program that changes nothing, and only notes."""
 
+    purpose = "noted"
+
     def _system(self, system: System, unit: Any) -> None:
         rows = self._rows(system, unit)
         self._note(system, unit, {at: self.lanes.load(self._at(rows[at[0]], at[1])) for at in system.noted})
@@ -234,7 +241,7 @@ class NotingWriter(TapedWriter):
 class BackWriter(TapedWriter):
     """Writes the adjoint: rows of block and scratch hold cotangents here."""
 
-    with_constants = True
+    n_arrays, purpose, with_constants = 5, "back with constants", True
 
     def write(self, entries: Sequence[Any]) -> None:
         builder = self.builder
@@ -296,4 +303,4 @@ class BackWriter(TapedWriter):
 class BackWithoutConstants(BackWriter):
     """Writes the way back without cotangents of constants."""
 
-    with_constants = False
+    purpose, with_constants = "back", False
