@@ -69,10 +69,9 @@ def evaluate(
     `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval. References are the laws
     that score 0 and 100, and those that scores are adjusted by, :attr:`Task.references`.
 
-    The numbers of a law and of an :class:`OnnxPolicy` depend neither on `batch` nor on `n_threads`, to the last bit.
-    Any other policy is called once per control step for a whole batch, whose size its rounding may depend on. The
-    PolicyError of an entry that fails, a ValueError, names entry and step or scenario. A ValueError says that an entry
-    is for another version, an argument is unknown or out of range, or the workers cannot be used.
+    The numbers of a law and of an :class:`OnnxPolicy` depend neither on `batch` nor on `n_threads`, to the last bit;
+    another policy's rounding may. A PolicyError names the entry that fails, and step or scenario. A ValueError says
+    that an entry is for another version, an argument is unknown or out of range, or the workers cannot be used.
 
     Args:
         entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes.
@@ -82,16 +81,13 @@ def evaluate(
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
-        partial: folder for finished batches, from which an interrupted run continues; :meth:`Results.write` removes
-            them.
+        partial: folder for finished batches, with which an interrupted run continues, until :meth:`Results.write`.
         workers: other processes that play the same batches, on one thread each.
         keep_going: an entry whose policy fails, or whose law has no equilibrium in a scenario, is left out with all
             training seeds of its name and listed in :attr:`Results.failed`, unless it is a reference.
         env_arguments: further fields of :class:`wtg_gym.envs.settings.EnvSettings`, such as `duration_s`.
     """
-    _check_arguments(suite, batch, env_arguments)
-    if workers is not None and n_threads not in (None, 1):
-        raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
+    _check_arguments(suite, batch, n_threads, workers, env_arguments)
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
     competitors = _with_references(entries, settings.resolved_suite)
     chosen = chosen_seeds(settings.suite_name, split, seeds)
@@ -101,7 +97,7 @@ def evaluate(
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
     episodes, failures = _episodes(store, parts, settings, n_threads, workers, on_progress, needed)
-    results = Results(
+    return Results(
         suite=settings.suite_name,
         split=split,
         suite_hash=of_suite.hash,
@@ -113,8 +109,7 @@ def evaluate(
         entries=tuple(entry.to_dict() for entry in competitors),
         episodes=tuple(episodes),
         parts=store,
-    )
-    return results.without(failures)
+    ).without(failures)
 
 
 def _with_references(specs: Entries, suite: Suite) -> list[Entry]:
@@ -132,7 +127,9 @@ def _with_references(specs: Entries, suite: Suite) -> list[Entry]:
     return [*entries, *(Entry(name=name, strategy=name, description=text) for name, text in texts.items())]
 
 
-def _check_arguments(suite: str, batch: int, env_arguments: dict[str, Any]) -> None:
+def _check_arguments(
+    suite: str, batch: int, n_threads: int | None, workers: Workers | None, env_arguments: dict[str, Any]
+) -> None:
     known = [field.name for field in dataclasses.fields(EnvSettings) if field.name not in _TAKEN]
     unknown = sorted(set(env_arguments) - set(known))
     if unknown:
@@ -141,6 +138,8 @@ def _check_arguments(suite: str, batch: int, env_arguments: dict[str, Any]) -> N
             f"({', '.join(_TAKEN)} are set by the entry or by an argument of its own, a scenario by its seed)"
         )
     require_whole("batch", batch, 1, MOST_SCENARIOS)
+    if workers is not None and n_threads not in (None, 1):
+        raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     if not isinstance(suite, str):
         raise ValueError(f"suite must be a name or the path of a file, by which results find it, got {suite!r:.80}")
 

@@ -200,8 +200,7 @@ def _tests() -> Iterator[GridTest]:
     takes_over = (
         "0.8 … 1.1 p.u. at every bus except for 0.1 s, 47.5 … 51.5 Hz, in the last 5 s within 0.1 Hz; all groups stay"
     )
-    # The last machine is lost. Near their limit the groups get more load than they can carry. In balance the wind gives
-    # what is needed, whatever the law, and the machine next to nothing.
+    # The last machine is lost: also near the groups' limit, and in balance, where the machine gives next to nothing.
     sources, outage = "AEMO, MISO, EU 2016/631", (sc.MachineOutage(time_s=2.0, bus=1),)
     for name, wind, load in (
         ("last-machine", 11.0, 0.92),
