@@ -15,7 +15,7 @@ class LeadLags(Checked):
     """Parameters of a control with lead-lags; a lead without a lag, which would differentiate, is refused."""
 
     #: Fields of each block: lead and lag.
-    LEAD_LAGS: ClassVar[tuple[tuple[str, str], ...]] = (("lead_time_s", "lag_time_s"),)
+    LEAD_LAGS: ClassVar[tuple[tuple[str, str], ...]] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -172,6 +172,7 @@ class LeadLagExciterParameters(LeadLags, SaturatingExciterParameters):
     """IEEEX1: IEEET1 with a lead-lag before the regulator."""
 
     MODEL = "IEEEX1"
+    LEAD_LAGS = (("lead_time_s", "lag_time_s"),)
 
     lead_time_s: float = parameter(1.0, "s", "ANDES", "T_C of the lead-lag", 0.0, 1e4)
     lag_time_s: float = parameter(1.0, "s", "ANDES", "T_B of the lead-lag", 0.0, 1e4)
@@ -182,6 +183,7 @@ class BoilerGovernorParameters(LeadLags):
     """IEEEG1: a lead-lag, a valve with limits of speed and opening, four passes of steam; one shaft."""
 
     MODEL = "IEEEG1"
+    LEAD_LAGS = (("lead_time_s", "lag_time_s"),)
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(0.05, "p.u.", "ANDES", "droop on the machine base, 1/K", 1e-4, 1e3)
