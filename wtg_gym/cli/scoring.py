@@ -123,6 +123,8 @@ def print_ranking(results: Results) -> None:
     say(
         "", "in brackets: 95 % interval; Δf: largest deviation of a run's frequency, the median; lost: runs that failed"
     )
+    if results.task.variates and not results.unadjusted:
+        say(f"scores of {' and '.join(results.task.variates)} are their known means, by which others are adjusted")
     say(*table.notes_on_marks(rows))
     for text in filter(None, (results.no_score, results.unadjusted)):
         note(text)

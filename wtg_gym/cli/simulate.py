@@ -48,8 +48,8 @@ def simulate_scenario(
     These are the lowest and highest frequency, the largest rate of change of frequency over 500 ms, and the final
     frequency, rotor speeds and powers. The scenario is a seed of a suite or a file; its wind can be replaced. A run
     ends early at a frequency outside 0.95 … 1.03 p.u. (47.5 … 51.5 Hz), lost synchronism or a voltage collapse; in
-    version v0 also at a stall, an over-speed or, in extended physics, an under-speed. In the paper's grid the number of
-    winds is the number of WTG groups at bus 2.
+    version v0 also at a stall, an over-speed or, in extended physics, an under-speed. In the paper's grid, of v0, the
+    number of winds is the number of WTG groups at bus 2. Costs and scores are in 'wtg-gym evaluate --seeds'.
 
     examples:
       wtg-gym simulate --strategy mppt deloaded-5 coordinated-piecewise --plot run.png

@@ -308,12 +308,10 @@ class Simulator:
         return prepared
 
     def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
-        for scenario in scenarios:
-            if scenario.n_wtg != self.layout.n_wtg or len(laws) != self.layout.n_wtg:
-                raise ValueError(
-                    f"scenario {scenario.name!r} has wind for {scenario.n_wtg} WTG groups and {len(laws)} laws were "
-                    f"given; the plant has {self.layout.n_wtg} groups"
-                )
+        counts = [(f"scenario {scenario.name!r} has wind for", scenario.n_wtg) for scenario in scenarios]
+        for what, count in (*counts, ("there are laws for", len(laws))):
+            if count != self.layout.n_wtg:
+                raise ValueError(f"{what} {count} WTG groups, the plant has {self.layout.n_wtg}")
         n = len(scenarios)
         events = [equilibrium.network_events(scenario, self.settings, self.plant) for scenario in scenarios]
         data = self._allocate_data(n, max([1, *map(len, events)]))

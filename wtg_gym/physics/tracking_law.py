@@ -146,7 +146,7 @@ def get_law(strategy: str | Path | TrackingLaw, turbine: _Turbine = None, contro
     if not isinstance(strategy, str) or strategy not in STRATEGY_NAMES:
         raise ValueError(
             f"unknown strategy {str(strategy)!r}; known strategies: {', '.join(STRATEGY_NAMES)}, or a .toml file with "
-            f"a law; trained policies are entries of `evaluate`{did_you_mean(strategy, STRATEGY_NAMES)}"
+            f"a law; other entries play in `wtg-gym evaluate`{did_you_mean(strategy, STRATEGY_NAMES)}"
         )
     return _strategy(strategy, turbine, control)
 

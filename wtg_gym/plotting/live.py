@@ -9,8 +9,7 @@ import numpy.typing as npt
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.rendering import EVENT, INK, SOFT, group_colour
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, evaluate
-from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation import Entry, Results, evaluate
 from wtg_gym.scenarios import SPLITS, Suite
 
 if TYPE_CHECKING:
@@ -20,7 +19,12 @@ if TYPE_CHECKING:
 OWN, REFERENCE = 0, 1
 #: How often the page is brought up to date [ms]; a slow machine plays more slowly.
 _TICK_MS = 50
-_CHARTS = {"frequency": "frequency [Hz]", "rotor": "rotor speed [p.u.]", "power": "power of each group [p.u.]"}
+_CHARTS = {
+    "frequency": "frequency [Hz]",
+    "rotor": "rotor speed [p.u.]",
+    "power": "power of each group [p.u.]",
+    "wind": "wind of each group [m/s]",
+}
 _INTRODUCTION = """<h2>Hold the frequency by hand</h2>
 Keep {nominal:g} Hz with the wind turbines, and let no rotor stall. The reference (dashed) plays the same scenario
 beside you and never acts. k up: the groups give more power and their rotors slow down; k down: they save. τ up: slower
@@ -68,20 +72,20 @@ class Match:
         return [(e.time_s, e.words) for e in events if before_s < e.time_s <= self.time_s]
 
     def sample(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Return where both stand: frequency (2,) [Hz]; rotor speed and power (2, n_groups) [p.u.]."""
+        """Return where both stand: frequency (2,) [Hz]; rotor speed, power [p.u.] and wind [m/s] (2, n_groups)."""
         simulator = self._lanes.simulator
         return {
             "frequency": self.nominal_hz * simulator.lane_values("coi"),
             "rotor": simulator.wtg_values("rotor_speed"),
             "power": simulator.wtg_values("power"),
+            "wind": simulator.wtg_values("wind"),
         }
 
-    def episodes(self) -> list[Episode]:
-        """Play your actions and the suite's anchors again, and return the evaluator's episodes, yours first."""
+    def results(self) -> Results:
+        """Play your actions, as the entry "you", and the suite's references again."""
         you = Entry(name="you", policy=_Played(self._actions))
         options: dict[str, Any] = {"seeds": [self.seed], "duration_s": self.duration_s, "n_threads": 1}
-        results = evaluate([you], self.suite.name, self._split, **options)
-        return [results.episodes_of(name)[0] for name in (you.name, *results.task.anchors)]
+        return evaluate([you], self.suite.name, self._split, **options)
 
     def next_seed(self) -> int:
         """Return the seed after this one in its split; after the last one the first."""
@@ -149,7 +153,7 @@ class PlayPage:
         made.update(toolbar_location=None, sizing_mode="stretch_width", lod_threshold=None)
         made.update(min_border_left=60, min_border_right=20)
         made.axis.minor_tick_line_color = None
-        made.xaxis.axis_label = "time [s]" if name == "power" else None
+        made.xaxis.axis_label = "time [s]" if name == "wind" else None
         if name == "frequency":
             nominal = self._match.nominal_hz
             # Keeps this range in view.
@@ -230,13 +234,17 @@ class PlayPage:
 
 
 def verdict_text(match: Match) -> str:
-    """Return the end of a run as HTML: your cost, failure, and a table of everybody's."""
-    rows = [("", "cost", "largest deviation", "failure")]
-    for episode in match.episodes():
+    """Return the end of a run as HTML: your cost, failure, and a table of everybody's, in v1 with scores."""
+    results = match.results()
+    scores = results.scores if results.task.scale else {}
+    rows = [("", "cost", "largest deviation", "failure", *(["score in this scenario"] if scores else []))]
+    for name in ("you", *results.task.anchors):
+        (episode,) = results.episodes_of(name)
         cost, lowest, highest = (float(episode.metrics[key] or 0.0) for key in ("cost", "nadir_hz", "zenith_hz"))
         deviation_hz = max(match.nominal_hz - lowest, highest - match.nominal_hz)
-        rows.append((episode.entry, f"{cost:.1f}", f"{1000.0 * deviation_hz:.0f} mHz", episode.failure))
-    _, cost_text, _, failure = rows[1]
+        score = [f"{scores[name].value:.0f}"] if scores else []
+        rows.append((name, f"{cost:.1f}", f"{1000.0 * deviation_hz:.0f} mHz", episode.failure, *score))
+    _, cost_text, _, failure, *_ = rows[1]
     failed = f"<h2>Your run failed after {match.time_s:.1f} s: {failure}</h2>" if failure else ""
     table = "".join("<tr><td>" + "<td style='padding-left:2em'>".join(row) for row in rows)
     return f"{failed}<h2>Your cost: {cost_text}</h2><table>{table}</table>"

@@ -194,9 +194,9 @@ def _score(report: Report) -> Section:
         mark = f"✓: no less reliable than {hundred}: the chance test below finds no more bad or lost runs."
     else:
         mark = (
-            f"No ✓: less reliable than {hundred}: were both equally prone, so many more bad runs had a chance of "
-            f"{report.chance(_bad)}, and so many more lost runs one of {report.chance(lost)}; "
-            "below 0.05 the mark is withheld."
+            f"No ✓: less reliable than {hundred}. If both were equally reliable, so many more bad runs would come with "
+            f"a probability of {report.chance(_bad)}, so many more lost runs with {report.chance(lost)}; below 0.05 "
+            "there is no mark."
         )
     return Section(
         heading="Score",
@@ -283,8 +283,8 @@ def _bad_runs(report: Report) -> Section:
         rows=[(under, f"{n.sum():.0f}", f"{100.0 * n.sum() / bad.size:.1f}") for under, n in counts.items()],
         numbers=(1, 2),
         note=f"Difference to {hundred}: {table.signed_interval(report.row.lost_or_beyond_to_hundred)} percentage "
-        f"points, strata counting alike. Were both equally prone, so many more bad runs than {hundred}'s had a chance "
-        f"of {report.chance(_bad)} (McNemar's paired exact test, one side).",
+        f"points, strata counting alike. If both were equally reliable, so many more bad runs than {hundred}'s would "
+        f"come with a probability of {report.chance(_bad)} (McNemar's paired exact test, one side).",
     )
 
 
@@ -337,19 +337,21 @@ def _plot_scenario(scenario: Scenario, runs: Mapping[str, recording.Recorded]) -
 
 
 def _operators_tests(report: Report) -> Section:
-    rows, note = [], ""
+    rows, note, (anchor,) = [], "", entry_folder.load_entries(report.hundred)
     try:
         for test in grid_tests.GRID_TESTS.values():
-            passed, figure = grid_tests.run_grid_test(test, report.entry)[1]
-            rows.append((test.name, "passed" if passed else "failed", figure, test.criterion))
-        note = f"Passed: {sum(row[1] == 'passed' for row in rows)} of {len(rows)}."
+            verdicts = [grid_tests.run_grid_test(test, entry)[1] for entry in (report.entry, anchor)]
+            words = ["passed" if passed else "failed" for passed, _ in verdicts]
+            rows.append((test.name, words[0], verdicts[0][1], words[1], test.criterion))
+        n_passed = (sum(row[at] == "passed" for row in rows) for at in (1, 3))
+        note = f"Passed: {next(n_passed)} of {len(rows)}, {next(n_passed)} by {report.hundred}."
     except ValueError as error:
         rows, note = [], f"The entry cannot play them: {error}"
     return Section(
         heading="Operators' tests",
         sentence="Tests that grid operators ask of grid-forming plants, each in a grid of its own with exact sensors; "
         "p.u. of power are of the turbines' rating, those of voltage of the nominal one.",
-        header=("test", "verdict", "measured", "limit"),
+        header=("test", "verdict", "measured", report.hundred, "limit"),
         rows=rows,
         note=note,
     )
@@ -392,7 +394,8 @@ def _energy(report: Report) -> Section:
         header=("entry", "power [MW]", "energy [MWh]", "against mppt [%]", "borrowed [MJ]", "repaid [MJ]"),
         rows=rows,
         numbers=(1, 2, 3, 4, 5),
-        note="mppt takes the most from the wind in steady operation. Gusts move rotors too: compare the rows."
+        note="mppt takes the most from the wind in steady operation. Gusts move rotors too, so that more can be repaid "
+        "than lent: compare the rows."
         if rows
         else "In none of the first scenarios did the entry, the anchor and mppt all keep all groups.",
     )

@@ -58,10 +58,16 @@ def of_groups(observation: npt.NDArray[Any], record: type[R], action_mode: str) 
     """Return what every WTG group shows in a local observation (..., n_observation): a record of arrays (..., n_wtg).
 
     The record is :class:`WtgObservation` in v0, `MeasuredObservation` of :mod:`wtg_gym.tasks.sensing` in v1. The last
-    actions of the action mode stand behind each group's numbers.
+    actions of the action mode stand behind each group's numbers. A ValueError says that the numbers do not fit.
     """
     n = len(record._fields)  # type: ignore[attr-defined]
-    groups = observation.reshape(*observation.shape[:-1], -1, n + sum(ACTION_MODES[action_mode]))
+    n_each, n_all = n + sum(ACTION_MODES[action_mode]), observation.shape[-1]
+    if n_all % n_each:
+        raise ValueError(
+            f"observations of {n_all} numbers are not of groups with {n_each} each: is action_mode={action_mode!r} "
+            "that of the entry, and observation_mode local?"
+        )
+    groups = observation.reshape(*observation.shape[:-1], -1, n_each)
     return record(*(groups[..., i] for i in range(n)))
 
 
