@@ -22,6 +22,6 @@ def draw(path: str, env_id: str, how: dict[str, Any], **settings: Any) -> None:
     env.close()
 
 
-faults = get_suite("faults-v1").scenario(10019)
+faults = get_suite("faults-v1").scenario(10037)
 draw(sys.argv[1], "GFMWTG-14bus-v0", {"seed": 5}, suite="weak-grid", duration_s=30.0)
 draw(sys.argv[2], "GFMWTG-14bus-v1", {"options": {"scenario": faults}}, suite="faults")
