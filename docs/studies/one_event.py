@@ -39,7 +39,7 @@ DROOP = "deloaded-5"
 def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plant) -> Figure:
     """Draw the worst unit's frequency, power of all turbines, slowest rotor and load not served over time.
 
-    A cross marks where the grid was lost. Grey lines: limits, and where load is shed first.
+    A cross marks where the grid was lost, if it lies in the panel. Grey lines: limits, and where load is shed first.
     """
     looks, nominal_hz, protection = style.strategy_looks(runs), plant.case.frequency_hz, plant.protection
     design_hz = DESIGN_DEVIATION_MHZ / 1000.0
@@ -65,6 +65,9 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
             draw_run(axes, run.time_s, getattr(run, quantity)[:, 0], looks[name], failed=bool(run.failures[0]))
         # A run that fails ends a step before the limit.
         axes.margins(y=0.12)
+        if limits is limits_hz:
+            # Where the runs that go on are told apart; the one that fails leaves the panel.
+            axes.set_ylim(bottom=min(np.nanmin(run.worst_hz) for run in runs.values() if not run.failures[0]) - 0.2)
         low, high = axes.get_ylim()
         for words, limit in limits.items():
             if low < limit < high:
