@@ -60,9 +60,11 @@ class Plans:
             kept.append(torch.from_numpy(np.stack(steps).astype(np.float32)))
 
     def state_dict(self) -> dict[str, list[Tensor]]:
+        """Return all plans."""
         return vars(self)
 
     def load_state_dict(self, state: Mapping[str, list[Tensor]]) -> None:
+        """Take the plans that :meth:`state_dict` returned."""
         vars(self).update(state)
 
     def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:

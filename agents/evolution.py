@@ -219,9 +219,11 @@ class EvolutionLearner:
         self.policy.weights.copy_(torch.from_numpy(self.average))
 
     def save(self, folder: Path) -> None:
+        """Write everything that training goes on from into an empty folder."""
         (folder / _STATE).write_bytes(pickle.dumps((self.weights, self.average, self.places, self.search)))
 
     def load(self, folder: Path) -> None:
+        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with runs.loading(folder) as folder:
             self.weights, self.average, self.places, self.search = pickle.loads((folder / _STATE).read_bytes())
             self.policy.weights.copy_(torch.from_numpy(self.average))

@@ -74,9 +74,11 @@ class SavedParts:
     parts: Mapping[str, Any]
 
     def save(self, folder: Path) -> None:
+        """Write everything that training goes on from into an empty folder."""
         torch.save({name: part.state_dict() for name, part in self.parts.items()}, folder / "state.pt")
 
     def load(self, folder: Path) -> None:
+        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with loading(folder) as folder:
             state = torch.load(folder / "state.pt", weights_only=True)
             for name, part in self.parts.items():

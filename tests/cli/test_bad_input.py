@@ -49,7 +49,7 @@ BAD = [
     ("evaluate --results file.txt", '"file.txt" is a file'),
     ("evaluate --address tcp://head:8786", "--address is for workers: say which with --backend loky, dask"),
     ("evaluate --backend loky --address tcp://head:8786", "loky has workers on this machine only"),
-    ("evaluate --backend loky --threads 2", "a worker steps with one thread; leave out the threads, got 2"),
+    ("evaluate --backend loky --threads 2", "--threads 2: a worker steps with one thread; say how many with --jobs"),
     ("leaderboard --suite paper --readme nowhere.md", "cannot read the file with the markers"),
     ("leaderboard --suite paper --readme file.txt", "must have the markers <!-- leaderboard:paper:start -->"),
     ("results recompute nowhere.json", "nowhere.json"),

@@ -64,9 +64,14 @@ def _played(suite: Suite, on_k: float, on_tau: float = 0.0, seed: int = _SEED) -
     return match
 
 
+def _episodes(match: Match):
+    results = match.results()
+    return [results.episodes_of(name)[0] for name in ("you", *results.task.anchors)]
+
+
 def test_without_an_action_you_are_the_reference(suite):
     match = _played(suite, 0.0)
-    you, *anchors = match.episodes()
+    you, *anchors = _episodes(match)
     same = next(each for each in anchors if each.entry == "coordinated-piecewise")
     assert dataclasses.replace(you, entry=same.entry) == same
     assert [each.entry for each in anchors] == list(suite.task.anchors)
@@ -82,5 +87,5 @@ def test_the_cost_is_the_evaluators(suite):
     seeds = list(suite.validation[:3])
     entry = Entry(name="held", policy=Held(), action_mode="k+tau")
     results = evaluate([entry], suite.name, "validation", seeds=seeds, duration_s=_LENGTH_S)
-    yours = [_played(suite, 0.3, -0.2, seed).episodes()[0] for seed in seeds]
+    yours = [_episodes(_played(suite, 0.3, -0.2, seed))[0] for seed in seeds]
     assert [you.metrics for you in yours] == [episode.metrics for episode in results.episodes_of("held")]

@@ -53,7 +53,7 @@ def evaluate(
     """
     from wtg_gym.cli import scoring
 
-    processes = scoring.chosen_workers(workers)
+    processes = scoring.chosen_workers(workers, threads)
     planned = {**scoring.chosen_scenarios(suite, split, seeds), "duration_s": duration}
     scoring.check_stored(results, planned)
     # Last, because it takes longest, and may run code.
@@ -97,7 +97,7 @@ def leaderboard(
 
     sections = [f"leaderboard:{suite}", f"leaderboard:{suite}:details"]
     pages = [(page, output.check_page("--readme", page, sections)) for page in readme]
-    processes = scoring.chosen_workers(workers)
+    processes = scoring.chosen_workers(workers, threads)
     chosen = scoring.chosen_entries(entries, suite)
     check_version(chosen, get_suite(suite))
     how: dict[str, Any] = {"suite": suite, "split": "test", "n_threads": threads, "workers": processes}
@@ -143,7 +143,7 @@ def recompute(
     from wtg_gym.progress import Progress
 
     stored = Results.read(results)
-    processes = scoring.chosen_workers(workers)
+    processes = scoring.chosen_workers(workers, threads)
     chosen = scoring.chosen_entries(entries, stored.suite)
     with Progress("episodes") as progress:
         comparison = evaluator.recompute(

@@ -20,8 +20,8 @@ def play(
     """Open a page in the browser on which you hold the frequency by hand, in real time.
 
     Two sliders set k and τ of all WTG groups, as an agent's actions do. The reference plays the same scenario with zero
-    actions. Events are shown as they happen. At the end your cost is compared with those of both reference laws. The
-    page is served on this machine only.
+    actions. Events are shown as they happen. At the end your cost, in v1 your score too, is compared with those of both
+    reference laws. The page is served on this machine only.
 
     examples:
       wtg-gym play

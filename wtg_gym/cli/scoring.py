@@ -50,12 +50,14 @@ def chosen_scenarios(suite: str, split: str, options: SeedOptions) -> dict[str, 
     return {**chosen, "seeds": list(seeds[: options.scenarios])}
 
 
-def chosen_workers(options: WorkerOptions) -> workers.Workers | None:
-    """Return the workers of `--backend`."""
+def chosen_workers(options: WorkerOptions, threads: int | None = None) -> workers.Workers | None:
+    """Return the workers of `--backend`, which `--threads` is not for."""
     if options.backend is None:
         if unused := [name for name in ("address", "jobs") if getattr(options, name) is not None]:
             raise ValueError(f"--{unused[0]} is for workers: say which with --backend {', '.join(workers.BACKENDS)}")
         return None
+    if threads not in (None, 1):
+        raise ValueError(f"--threads {threads}: a worker steps with one thread; say how many with --jobs")
     return workers.Workers(**vars(options))
 
 

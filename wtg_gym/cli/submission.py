@@ -158,7 +158,7 @@ def _write_cards(folder: Path, entries: "Mapping[Path, Entry]", played: "Results
         missing.discard(entry.name)
         results = page.part_of_entry(played, entry)
         assert results is not None
-        made = page.Report(entry, _shown(path), results, stored=True, n_threads=n_threads)
+        made = page.Report(entry=entry, spec=_shown(path), results=results, stored=True, n_threads=n_threads)
         try:
             with Progress("sections") as progress:
                 files = page.report_files(made, path.name, progress.update)

@@ -49,7 +49,7 @@ Samples = Mapping[str, npt.NDArray[np.floating[Any]]]
 
 #: Width and height [pixels]; even, as video codecs want them.
 FRAME_SIZE = (960, 540)
-#: Place, size and style of the texts that are new in every frame: time, failure, other end, return, violations.
+#: Place, size and style of the texts that are new in every frame: time, failure, other end, cost, violations.
 _TEXTS: tuple[tuple[float, float, dict[str, Any]], ...] = (
     (0.017, 0.896, {"fontsize": 22, "color": INK, "fontweight": "bold"}),
     (0.121, 0.887, {"fontsize": 16, "color": EVENT, "fontweight": "bold"}),

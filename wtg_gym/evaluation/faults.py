@@ -47,7 +47,7 @@ WORSE_SENSORS: Mapping[str, Callable[[Scenario], Scenario]] = {
 }
 #: Faults of the sensors of the first group, the largest, with the step from which on.
 SENSOR_FAULTS: Mapping[str, tuple[Callable[[Floats, Floats], None], int]] = {
-    "a frequency sensor hangs": (hanging, 100),
+    "a frequency sensor hangs": (hanging, 100),  # from 50 s on
     "a group's observation is 0": (silent, 0),
 }
 

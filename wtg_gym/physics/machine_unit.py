@@ -149,6 +149,7 @@ def rates_of_machine(
     field = s.exciter.field_voltage - s.e_q_transient - c.x_d_field * (i_d - c.gamma_d2 * lag_d)
     damper = -s.e_d_transient + c.x_q_field * (i_q - c.gamma_q2 * lag_q)
     given = select(c.governor.is_unit > 0.5, turbine_torque, torque)
+    # The machine's own torque first, then the difference to its governor's: the order that released bits have.
     speed_rate = u.inv_two_h * (torque - power - c.damping * (s.speed - 1.0)) + u.inv_two_h * (given - torque)
     rates = MachineState(
         angle=omega_n * (s.speed - reference_speed),

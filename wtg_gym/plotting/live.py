@@ -240,11 +240,12 @@ def verdict_text(match: Match) -> str:
     rows = [("", "cost", "largest deviation", "failure", *(["score in this scenario"] if scores else []))]
     for name in ("you", *results.task.anchors):
         (episode,) = results.episodes_of(name)
-        cost, lowest, highest = (float(episode.metrics[key] or 0.0) for key in ("cost", "nadir_hz", "zenith_hz"))
+        cost, lowest, highest = (episode.metrics[key] for key in ("cost", "nadir_hz", "zenith_hz"))
+        assert cost is not None and lowest is not None and highest is not None
         deviation_hz = max(match.nominal_hz - lowest, highest - match.nominal_hz)
         score = [f"{scores[name].value:.0f}"] if scores else []
         rows.append((name, f"{cost:.1f}", f"{1000.0 * deviation_hz:.0f} mHz", episode.failure, *score))
-    _, cost_text, _, failure, *_ = rows[1]
-    failed = f"<h2>Your run failed after {match.time_s:.1f} s: {failure}</h2>" if failure else ""
+    (you,) = results.episodes_of("you")
+    failed = f"<h2>Your run failed after {match.time_s:.1f} s: {you.failure}</h2>" if you.failure else ""
     table = "".join("<tr><td>" + "<td style='padding-left:2em'>".join(row) for row in rows)
-    return f"{failed}<h2>Your cost: {cost_text}</h2><table>{table}</table>"
+    return f"{failed}<h2>Your cost: {you.metrics['cost']:.1f}</h2><table>{table}</table>"

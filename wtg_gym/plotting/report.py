@@ -93,7 +93,7 @@ def _plain(text: str) -> str:
     return "".join(f"\\{sign}" if sign in "\\`*_[]<>#&" else sign for sign in text)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """An entry of version v1 with its results."""
 
@@ -337,14 +337,15 @@ def _plot_scenario(scenario: Scenario, runs: Mapping[str, recording.Recorded]) -
 
 
 def _operators_tests(report: Report) -> Section:
-    rows, note, (anchor,) = [], "", entry_folder.load_entries(report.hundred)
+    rows, note = [], ""
+    (anchor,) = entry_folder.load_entries(report.hundred)
     try:
         for test in grid_tests.GRID_TESTS.values():
             verdicts = [grid_tests.run_grid_test(test, entry)[1] for entry in (report.entry, anchor)]
             words = ["passed" if passed else "failed" for passed, _ in verdicts]
             rows.append((test.name, words[0], verdicts[0][1], words[1], test.criterion))
-        n_passed = (sum(row[at] == "passed" for row in rows) for at in (1, 3))
-        note = f"Passed: {next(n_passed)} of {len(rows)}, {next(n_passed)} by {report.hundred}."
+        n_passed, n_of_hundred = (sum(row[at] == "passed" for row in rows) for at in (1, 3))
+        note = f"Passed: {n_passed} of {len(rows)}, {n_of_hundred} by {report.hundred}."
     except ValueError as error:
         rows, note = [], f"The entry cannot play them: {error}"
     return Section(

@@ -122,9 +122,15 @@ class Task:
     def to_dict(self) -> dict[str, Any]:
         """Return what hashes of suites hold of the task, as JSON-ready data."""
         defaults = cost.CostWeights()._asdict()
-        as_named = "version k_authority tau_authority control_dt interval_s duty_time_s on_failure anchors"
         return {
-            **{name: getattr(self, name) for name in as_named.split()},
+            "version": self.version,
+            "k_authority": self.k_authority,
+            "tau_authority": self.tau_authority,
+            "control_dt": self.control_dt,
+            "interval_s": self.interval_s,
+            "duty_time_s": self.duty_time_s,
+            "on_failure": self.on_failure,
+            "anchors": self.anchors,
             "sensed": self.has_sensors,
             "charges_worst": self.failure_costs_whole_episode,
             "cost_offsets": dict(self.cost_offsets),
