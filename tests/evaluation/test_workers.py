@@ -107,7 +107,7 @@ def test_dask_cluster_at_an_address_plays_names_a_lost_worker_or_is_named(tmp_pa
         assert found == expected
         with pytest.raises(ValueError, match="a dask worker was lost, KilledWorker"):
             evaluate([mortal], "standard", "test", workers=there, **arguments)
-    assert evaluate([], "standard", "test", workers=Workers("dask", jobs=1), **arguments) == expected
+    assert evaluate([], "standard", "test", workers=Workers("dask", jobs=2), **arguments) == expected
     monkeypatch.setattr(workers, "_CONNECT_S", 1)
     for address in ("tcp://127.0.0.1:1", "nowhere"):
         with pytest.raises(ValueError, match=f"no dask cluster answers at {address}"):

@@ -185,7 +185,7 @@ UNFIT = [
     (fit(sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=1.0)), "no imposed source at bus 1;"),
     (extended(*FIVE), "its line trips leave 5 islands with a unit; allowed: at most 4"),
     (fit(duration_s=300.0), "lasts 300 s, longer than the 120 s held here"),
-    (fit(wind=np.full((3, 1), 9.0)), "has wind for 3 WTG groups, the plant has 2"),
+    (fit(wind=np.full((3, 1), 9.0)), "has wind for 3 WTG groups, the plant has 2 groups"),
     (fit(wind=np.full((2, 1), 25.0), load_level=0.3), "scenario 'x' cannot start"),
 ]
 

@@ -311,7 +311,7 @@ class Simulator:
         counts = [(f"scenario {scenario.name!r} has wind for", scenario.n_wtg) for scenario in scenarios]
         for what, count in (*counts, ("there are laws for", len(laws))):
             if count != self.layout.n_wtg:
-                raise ValueError(f"{what} {count} WTG groups, the plant has {self.layout.n_wtg}")
+                raise ValueError(f"{what} {count} WTG groups, the plant has {self.layout.n_wtg} groups")
         n = len(scenarios)
         events = [equilibrium.network_events(scenario, self.settings, self.plant) for scenario in scenarios]
         data = self._allocate_data(n, max([1, *map(len, events)]))
