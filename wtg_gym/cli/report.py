@@ -60,9 +60,7 @@ def report(
     how: dict[str, Any] = {"seeds": seeds, "n_threads": threads}
     with Progress("episodes") as progress:
         scores = stored or evaluate(chosen[0], page.SUITE, split, **how, on_progress=progress.update)
-    made = page.Report(
-        entry=chosen[0], spec=entry, results=scores, stored=stored is not None, drawn=drawn, n_threads=threads
-    )
+    made = page.Report(entry=chosen[0], spec=entry, results=scores, stored=bool(stored), drawn=drawn, n_threads=threads)
     with Progress("sections") as progress:
         files = page.report_files(made, output.stem, progress.update)
     html = files.pop(f"{output.stem}.html")
