@@ -4,6 +4,7 @@ A page of sections, in Markdown with its pictures beside, or made HTML of, with 
 """
 
 import base64
+import functools
 import itertools
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -336,14 +337,23 @@ def _plot_scenario(scenario: Scenario, runs: Mapping[str, recording.Recorded]) -
     return figure
 
 
+def _verdict(test: grid_tests.GridTest, entry: Entry) -> tuple[str, str]:
+    passed, measured = grid_tests.run_grid_test(test, entry)[1]
+    return "passed" if passed else "failed", measured
+
+
+@functools.cache
+def _verdicts_on(law: str) -> tuple[str, ...]:
+    """Return the verdicts of operators' tests on a law, which every page shows for the reference."""
+    (entry,) = entry_folder.load_entries(law)
+    return tuple(_verdict(test, entry)[0] for test in grid_tests.GRID_TESTS.values())
+
+
 def _operators_tests(report: Report) -> Section:
     rows, note = [], ""
-    (anchor,) = entry_folder.load_entries(report.hundred)
     try:
-        for test in grid_tests.GRID_TESTS.values():
-            verdicts = [grid_tests.run_grid_test(test, entry)[1] for entry in (report.entry, anchor)]
-            words = ["passed" if passed else "failed" for passed, _ in verdicts]
-            rows.append((test.name, words[0], verdicts[0][1], words[1], test.criterion))
+        for test, of_hundred in zip(grid_tests.GRID_TESTS.values(), _verdicts_on(report.hundred), strict=True):
+            rows.append((test.name, *_verdict(test, report.entry), of_hundred, test.criterion))
         n_passed, n_of_hundred = (sum(row[at] == "passed" for row in rows) for at in (1, 3))
         note = f"Passed: {n_passed} of {len(rows)}, {n_of_hundred} by {report.hundred}."
     except ValueError as error:
