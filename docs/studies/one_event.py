@@ -65,7 +65,7 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
             draw_run(axes, run.time_s, getattr(run, quantity)[:, 0], looks[name], failed=bool(run.failures[0]))
         # A run that fails ends a step before the limit.
         axes.margins(y=0.12)
-        if limits is limits_hz:
+        if quantity == "worst_hz":
             # Where the runs that go on are told apart; the one that fails leaves the panel.
             axes.set_ylim(bottom=min(np.nanmin(run.worst_hz) for run in runs.values() if not run.failures[0]) - 0.2)
         low, high = axes.get_ylim()
