@@ -1,4 +1,4 @@
-"""For docs/validation.md: every claim of the paper measured, both case studies drawn; two minutes.
+"""For docs/validation.md: every claim of the paper measured, steady states and case studies drawn; two minutes.
 
 validation/claims.json has every claim's tolerance, measurement and verdict, paper.toml the texts of the claims.
 
@@ -30,7 +30,7 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.plotting import plot_trajectories, save_figure
+from wtg_gym.plotting import plot_trajectories, save_figure, style
 from wtg_gym.scenarios import get_suite
 
 TURBINE, CONTROL = TurbineParameters(), GridFormingParameters()
@@ -43,7 +43,8 @@ UNDAMPED = dataclasses.replace(LINEAR, name="coordinated-linear-undamped", dampi
 SIDES = ("under", "over")  # of ω_st, where the slopes of g(ω) differ
 COMPARED = (REFERENCE_STRATEGY, "deloaded-5", "deloaded-10")
 LEAST_RATIO, RATIO_STEP = 1.0, 0.1  # tip-speed ratios of the search for equilibria [-]
-ANGULAR_FREQUENCY = 100.0 * math.pi
+NOMINAL_HZ = 50.0
+ANGULAR_FREQUENCY = 2.0 * math.pi * NOMINAL_HZ
 TEXTS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
@@ -142,6 +143,40 @@ def named_points(law, wind_m_s):
         crossing = float(brentq(surplus, lowest, nominal, xtol=1e-14))
         points["M"] = Balance(crossing, law, wind_m_s).at(best_speed)
     return points
+
+
+@style.printed
+def characteristic(law):
+    """Draw what a WTG captures over its rotor speed, and power and rotor speed over the frequency, in steady state."""
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 62.0)
+    over_speed, *over_frequency = figure.subplots(1, 3)
+    frequencies, speeds = np.linspace(CORNERS[0], CORNERS[2], 41), np.linspace(0.05, 1.45, 141)
+    for group, (wind, colour) in enumerate(zip(WINDS, style.PALETTE, strict=False), 1):
+        balances = [Balance(frequency, law, wind) for frequency in CORNERS]
+        for balance in balances:
+            over_speed.plot(speeds, balance.k * speeds**3 - balance.droop, color=style.REFERENCE_GREY, linewidth=0.7)
+        captured = balances[0].surplus(speeds) + balances[0].k * speeds**3 - balances[0].droop
+        over_speed.plot(speeds, captured, color=colour, label=f"{group}: {wind:g} m/s")
+        states = [equilibria(frequency, law, wind) for frequency in frequencies]
+        named = named_points(law, wind)
+        for axes, quantity in zip(over_frequency, ("power_pu", "rotor_speed_pu"), strict=True):
+            for dashes, at in (("-", -1), ("--", -2)):
+                values = [getattr(each[at], quantity) if len(each) >= -at else math.nan for each in states]
+                axes.plot(NOMINAL_HZ * frequencies, values, color=colour, linestyle=dashes)
+        for name, point in named.items():
+            hz, text = NOMINAL_HZ * point.frequency_pu, {"text": f"{name}$_{group}$", "textcoords": "offset points"}
+            places = (point.rotor_speed_pu, point.power_pu), (hz, point.power_pu), (hz, point.rotor_speed_pu)
+            for axes, place in zip(figure.axes, places, strict=True):
+                axes.plot(*place, "o", color=colour, markersize=4.0)
+                axes.annotate(xy=place, xytext=(2.0, 4.0), color=colour, fontsize=style.SMALL_PT, **text)
+    over_speed.set(xlabel="rotor speed [p.u.]", ylim=(0.0, 1.4))
+    titles = ("captured power [p.u.]", "power [p.u.]", "rotor speed [p.u.]")
+    for letter, axes, title in zip("abc", figure.axes, titles, strict=True):
+        style.letter_panel(axes, letter, title)
+    for axes in over_frequency:
+        axes.set(xlabel="frequency [Hz]", ylim=(0.0, None))
+    figure.legend(loc="outside lower center", ncols=2)
+    return figure
 
 
 # --- single-machine loops ---------------------------------------------------------------------------------------------
@@ -432,6 +467,9 @@ def main(docs):
     for seed, name in enumerate(("load-increase", "load-decrease")):
         figure = plot_trajectories(cases[seed], get_suite("paper").scenario(seed))
         save_figure(figure, docs / "validation" / "figures" / name, ("svg",))
+    for name in ("mppt", *COMPARED):
+        file = docs / "validation" / "figures" / f"characteristic-{name}"
+        save_figure(characteristic(STRATEGIES[name]), file, ("svg",))
     if (page := docs / "validation.md").exists():
         update_between_markers(page, claims_table(claims), "claims")
     for claim in claims:
