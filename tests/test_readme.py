@@ -2,8 +2,8 @@
 
 The README's first program and all commands run on what `pip install .` installs, in an empty folder, without the
 extras' packages. The other programs, those of a page in one process, run with everything that the tests need. Of 90
-scenarios three are played, of 300,000 steps of training 20,000. `make notebooks` runs the notebooks. What is installed
-is pinned.
+scenarios three are played, of 300,000 steps of training 20,000, of 6 updates 2. `make notebooks` runs the notebooks.
+What is installed is pinned.
 """
 
 import importlib.metadata
@@ -29,13 +29,15 @@ ROOT = Path(__file__).resolve().parent.parent
 #: Packages that extras bring and `pip install .` does not.
 EXTRAS = ("bokeh", "joblib", "matplotlib", "onnx", "pettingzoo", "PIL", "pygame", "rich", "stable_baselines3", "torch")
 NOTEBOOKS = sorted((ROOT / "docs/notebooks").glob("*.ipynb"))
+#: What is printed, and what runs in its place.
+SHORTER = {"--scenarios 90": "--scenarios 3", "10_090": "10_003", "=300_000": "=20_000", "in range(6):": "in range(2):"}
 DOCS = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))
 PAGES = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS, "agents/README.md", "tests/golden/README.md"]
 
 
 def blocks(page: str, language: str) -> list[str]:
     text = (ROOT / page).read_text(encoding="utf-8")
-    for printed, played in (("--scenarios 90", "--scenarios 3"), ("10_090", "10_003"), ("=300_000", "=20_000")):
+    for printed, played in SHORTER.items():
         text = text.replace(printed, played)
     return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
 
