@@ -58,6 +58,13 @@ def simulator():
 
 
 @pytest.fixture
+def few_scenarios(monkeypatch):
+    """The gate plays few scenarios, since each needs a session; tests/submissions tests what it finds in all."""
+    monkeypatch.setattr("wtg_gym.policies.gate._ROLLOUT_LANES", 8)
+    monkeypatch.setattr("wtg_gym.policies.gate._TIMED_LANES", 16)
+
+
+@pytest.fixture
 def one_thread():
     """Torch on one thread; the number of before is taken back."""
     import torch

@@ -85,16 +85,13 @@ def test_what_nothing_can_work_with_is_refused_with_the_name_of_the_file(tmp_pat
         read(tmp_path / name, what)
 
 
-def test_lists_and_objects_are_counted_before_any_is_made(tmp_path):
-    (tmp_path / "data.json").write_text("[" + "{}," * (2**17 - 1) + "0]")
-    assert len(files.read_json(tmp_path / "data.json", "grid")) == 2**17
-    (tmp_path / "data.json").write_text("[" + "{}," * 2**17 + "0]")
-    with pytest.raises(ValueError, match=r"the grid .*data\.json has more than 131072 lists and objects"):
-        files.read_json(tmp_path / "data.json", "grid")
-
-
-def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path):
+def test_numbers_counts_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path):
     path = tmp_path / "data"
+    path.write_text("[" + "{}," * (2**17 - 1) + "0]")
+    assert len(files.read_json(path, "grid")) == 2**17
+    path.write_text("[" + "{}," * 2**17 + "0]")
+    with pytest.raises(ValueError, match=r"the grid .*data has more than 131072 lists and objects"):
+        files.read_json(path, "grid")
     path.write_text("[1e308, -1e308, 5e-324, 18446744073709551615, -0.0, 0]")
     assert files.read_json(path, "suite") == [1e308, -1e308, 5e-324, 2**64 - 1, 0, 0]
     start = "a = 1 # "
@@ -102,9 +99,9 @@ def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path):
     assert files.read_toml(path, "law file") == {"a": 1}
 
 
-@pytest.fixture
-def odd(tmp_path):
-    """A folder with what is no file, or too large a one."""
+@pytest.mark.parametrize("what", files.LARGEST_BYTES)
+@pytest.mark.parametrize(("name", "reason"), NO_FILES)
+def test_what_is_no_file_or_too_large_is_named_at_once(tmp_path, what, name, reason):
     (tmp_path / "folder").mkdir()
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     if hasattr(os, "mkfifo"):
@@ -112,14 +109,8 @@ def odd(tmp_path):
         (tmp_path / "device").symlink_to("/dev/zero")
     with (tmp_path / "large").open("wb") as file:
         file.truncate(2**40)
-    return tmp_path
-
-
-@pytest.mark.parametrize("what", files.LARGEST_BYTES)
-@pytest.mark.parametrize(("name", "reason"), NO_FILES)
-def test_what_is_no_file_or_too_large_is_named_at_once(odd, what, name, reason):
     with pytest.raises(ValueError, match=rf"^cannot read the {what} .*{re.escape(ascii(name)[1:-1])}.*: .*{reason}"):
-        files.read_bytes(odd / name, what)
+        files.read_bytes(tmp_path / name, what)
 
 
 @pytest.mark.parametrize(("error", "said"), UNEXPECTED)

@@ -30,9 +30,9 @@ DOORS: dict[str, Callable[[str, Path], object]] = {
     "law file": lambda name, path: read_law(_law(name, path / "x.toml")),
     "law file as an entry": lambda name, path: load_entries(_law(name, path / "x.toml")),
     "entry": lambda name, _: Entry(name=name),
-    "folder": lambda name, path: load_entries(_entry(TOML.replace("Mine", name), path / "x")),
-    "author": lambda name, path: load_entries(_entry(TOML.replace("Jane Doe", name), path / "x")),
-    "text": lambda name, path: load_entries(_entry(f'{TOML}trained_on = "{name}"\n', path / "x")),
+    "folder": lambda name, path: load_entries(folder(path / "x", toml=TOML.replace("Mine", name))),
+    "author": lambda name, path: load_entries(folder(path / "x", toml=TOML.replace("Jane Doe", name))),
+    "text": lambda name, path: load_entries(folder(path / "x", toml=f'{TOML}trained_on = "{name}"\n')),
     "submission": lambda name, _: parse_submission(TOML.replace("Mine", name).encode()),
 }
 MISSPELT = [
@@ -85,10 +85,6 @@ def test_names_are_ascii_begin_with_a_letter_or_digit_and_are_short(text):
 def _law(name: str, path: Path) -> Path:
     path.write_text(f'name = "{name}"\n' + "".join(f"{key} = {k}\n" for key, k in LAW.items()), encoding="utf-8")
     return path
-
-
-def _entry(toml: str, path: Path) -> Path:
-    return folder(path, toml=toml)
 
 
 @pytest.mark.parametrize("door", DOORS)

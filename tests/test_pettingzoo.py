@@ -41,11 +41,6 @@ BAD_ACTIONS = [
 ]
 
 
-def split(env: GFMWTGParallelEnv, joint: np.ndarray) -> dict[str, np.ndarray]:
-    parts = dict(zip(env.possible_agents, joint.reshape(len(env.possible_agents), -1), strict=True))
-    return {agent: parts[agent] for agent in env.agents}
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_joint_run_is_that_of_the_single_environment_bit_for_bit(name):
     env = parallel_env(**CASES[name])
@@ -61,7 +56,8 @@ def test_joint_run_is_that_of_the_single_environment_bit_for_bit(name):
             assert env.observation_space(agent).contains(observations[agent])
             assert infos[agent] == info and infos[agent] is not info
         assert env.state().tobytes() == seen.tobytes() and env.state_space.contains(env.state())
-        actions = split(env, joint)
+        parts = dict(zip(env.possible_agents, joint.reshape(len(env.possible_agents), -1), strict=True))
+        actions = {agent: parts[agent] for agent in env.agents}
         # A group that has left has no effect.
         for group, agent in enumerate(env.possible_agents):
             if agent not in actions:

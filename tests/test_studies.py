@@ -1,6 +1,7 @@
 """Studies import, play as evaluations do and reproduce the paper; operators' tests; modes with an entry in the loop."""
 
 import dataclasses
+import functools
 import importlib
 import json
 from pathlib import Path
@@ -50,17 +51,9 @@ def test_the_reference_is_that_of_the_code(page, made):
     assert made().strip() in (DOCS / f"{page}.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def players():
-    return [each for name in (*V1.references, "fast-droop") for each in load_entries(name)]
-
-
-@pytest.fixture(scope="module")
-def known(players):
-    return evaluate(players, OWN, "test", seeds=list(get_suite(OWN).test[:6]))
-
-
-def test_unchanged_scenarios_cost_what_they_cost_in_an_evaluation(known, players):
+def test_unchanged_scenarios_cost_what_they_cost_in_an_evaluation():
+    players = [each for name in (*V1.references, "fast-droop") for each in load_entries(name)]
+    known = evaluate(players, OWN, "test", seeds=list(get_suite(OWN).test[:6]))
     assert played(players, known).episodes == known.episodes
 
 
@@ -113,10 +106,16 @@ def test_simulation_starts_in_the_stable_equilibrium(wind, strategy):
     assert run.power_pu[-1, 0] == pytest.approx(k * speed**3, abs=1e-8)
 
 
+#: The runs of the case studies, played once.
+run_case = functools.cache(paper.run_case)
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("docs")
-    paper.main(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper, "run_case", run_case)
+        paper.main(folder)
     return folder / "validation"
 
 
@@ -131,7 +130,7 @@ def test_every_claim_holds_but_the_one_that_the_paper_drew_schematically(written
 
 def test_claims_are_measured_not_written():
     """Exchange the runs of two strategies: the claims about them fall."""
-    runs = paper.run_case(0)
+    runs = run_case(0)
     exchanged = {"coordinated-piecewise": runs["deloaded-5"], "deloaded-5": runs["coordinated-piecewise"]}
     fallen = {claim["key"] for claim in paper.load_increase(runs | exchanged) if not claim["holds"]}
     assert fallen >= {"stays-stable", "stalls", "larger-step", "faster-rotor", "rocof", "nadir", "narrow-range"}

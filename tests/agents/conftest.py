@@ -8,6 +8,6 @@ from wtg_gym import evaluate
 
 
 @pytest.fixture(autouse=True)
-def _small_runs(one_thread, monkeypatch):
-    """Validations last six seconds, and torch has one thread: networks as small as these only wait for more."""
+def _small_runs(one_thread, few_scenarios, monkeypatch):
+    """Validations last six seconds, checks are few, torch has one thread: small networks only wait for more."""
     monkeypatch.setattr("agents.run.evaluate", functools.partial(evaluate, duration_s=6.0))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from agents import dagger
 from agents import planner as planning
 from agents.dagger import DaggerLearner, Hyperparameters, Plans, main, observe
 from agents.gradient import GradientPolicy
@@ -39,18 +40,15 @@ def test_a_plan_knows_nothing_of_what_comes():
     noise[101:] += 5.0
     step = LoadStep(time_s=10.1, bus=4, power_mw=30.0)
     plans = []
-    for scenario in (drawn, replace(drawn, wind_speed=wind, load_noise_mw=noise, events=(step,)), drawn):
+    happened = replace(drawn, events=(replace(step, time_s=9.9),))
+    for scenario in (drawn, replace(drawn, wind_speed=wind, load_noise_mw=noise, events=(step,)), drawn, happened):
         planner = Planner(SHORT, 1, QUICK, 1)
         planner.start([scenario])
         for _ in range(20):
             planner.take(np.full((1, 4), 0.1))
         plans.append(planner.plan())
     assert np.array_equal(plans[0], plans[1]) and np.array_equal(plans[0], plans[2])
-    # An event that has happened counts.
-    planner.start([replace(drawn, events=(replace(step, time_s=9.9),))])
-    for _ in range(20):
-        planner.take(np.full((1, 4), 0.1))
-    assert not np.array_equal(plans[0], planner.plan())
+    assert not np.array_equal(plans[0], plans[3])
 
 
 def test_of_events_it_knows_what_has_passed():
@@ -155,7 +153,7 @@ OPTIONS += ["--horizon-s", "60", "--interval-s", "60", "--iterations", "1"]
 
 def test_run_repeats_also_after_an_interruption(tmp_path):
     def interrupt(patch, when):
-        patch.setattr(DaggerLearner, "fit", interrupted(DaggerLearner.fit, when))
+        patch.setattr(dagger, "observe", interrupted(observe, when))
 
     runs = run_and_interrupted_run(main, OPTIONS, interrupt, tmp_path)
     saved = [folders(run.folder / "checkpoints")[0] / "state.pt" for run in runs]

@@ -33,7 +33,6 @@ from wtg_gym.policies.entry_folder import policy_folders
 from wtg_gym.policies.gate import check_submission
 from wtg_gym.sb3 import SB3VecEnv
 
-ROOT = Path(__file__).resolve().parents[2]
 NEW = ("--output", "new")
 #: Names of names, nine of each: a billion values of a few hundred characters.
 ALIASES = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 11))

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import shlex
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -85,21 +84,17 @@ def folder(tmp_path_factory):
     return root
 
 
-def _files(folder: Path) -> set[Path]:
-    return set(folder.rglob("*"))
-
-
 @pytest.mark.parametrize(("line", "said"), BAD, ids=lambda text: ascii(text)[:60])
 def test_bad_input_is_one_line_and_leaves_nothing(line, said, folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    before = _files(folder)
+    before = set(folder.rglob("*"))
     words = shlex.split(line)
     # Where the table says nothing of entries, one that is there.
     if words[0] == "evaluate" and "--entries" not in words:
         words += ["--entries", "mppt"]
     error = error_of(capsys, *words)
     assert said in error and error.isprintable()
-    assert _files(folder) == before
+    assert set(folder.rglob("*")) == before
 
 
 def test_missing_matplotlib_is_said_before_anything_runs(capsys, monkeypatch, tmp_path):

@@ -7,18 +7,13 @@ from tests.submissions import models
 from tests.submissions.models import TOML, after, folder
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, evaluate, load_entries
-from wtg_gym.policies import gate
 from wtg_gym.tasks import V0
 
 OTHER = TOML.replace("Mine", "Other")
 _FEW = ("--seeds", "20000", "20001")
 
 
-@pytest.fixture(autouse=True)
-def few_scenarios(monkeypatch):
-    """The checks play few scenarios, since each needs a session; tests/submissions tests their findings."""
-    monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
-    monkeypatch.setattr(gate, "_TIMED_LANES", 16)
+pytestmark = pytest.mark.usefixtures("few_scenarios")
 
 
 def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(capsys, tmp_path):

@@ -70,16 +70,12 @@ def reset_some(env: GFMWTGVectorEnv, k: int):
     return env.reset(options={"reset_mask": np.random.default_rng(k).random(env.num_envs) < 0.1})
 
 
-def native(env):
-    for name in ("venv", "vector_env", "env", "single_env"):
-        env = vars(env).get(name, env)
-    return env
-
-
 def state(env):
     """Return everything of an environment that a call may change, in a form that compares to the bit."""
-    names = ("agents", "reset_infos", "episode_returns", "episode_lengths")
-    return bits([*native(env).snapshot().lanes[1:], *(getattr(env, name, None) for name in names)])
+    names, native = ("agents", "reset_infos", "episode_returns", "episode_lengths"), env
+    for name in ("venv", "vector_env", "env", "single_env"):
+        native = vars(native).get(name, native)
+    return bits([*native.snapshot().lanes[1:], *(getattr(env, name, None) for name in names)])
 
 
 CASES = {

@@ -1,7 +1,6 @@
 """What a step is, told and charged, and that every lane of a batch is a single environment of its own."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -168,9 +167,6 @@ def test_a_step_is_five_intervals_with_its_action(scenario, settings, n_lanes):
             break
     assert ends[0].any() == (scenario is BLACKOUT) and (within < N_HELD or scenario is not BLACKOUT)
     assert held.lanes.n_steps().tolist() == [-(-n // N_HELD)] * n_lanes
-
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 SUITES_V1 = [name for name, suite in SUITES.items() if suite.task.version == "v1"]

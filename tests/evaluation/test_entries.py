@@ -140,13 +140,17 @@ def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fing
     assert known.identity not in (None, Entry(name="law").identity)
 
 
-def test_baselines_are_those_of_the_version():
+def test_baselines_are_those_of_the_version_with_every_built_in_strategy_and_module():
     laws = ["mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-piecewise"]
-    found = {v.version: [entry.name for entry in load_entries("baselines", task=v)] for v in (V0, V1)}
-    assert found["v0"] == [*laws, "coordinated-undamped", "tip-speed-feedback"]
-    assert found["v1"] == [*laws, "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law"]
+    of_v0, of_v1 = (load_entries("baselines", task=version) for version in (V0, V1))
+    assert [entry.name for entry in of_v0] == [*laws, "coordinated-undamped", "tip-speed-feedback"]
+    assert [e.name for e in of_v1] == [*laws, "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law"]
+    assert {entry.name: entry.law for entry in of_v0[:-1]} == STRATEGIES
+    assert [entry.kind for entry in of_v0] == ["law"] * len(STRATEGIES) + ["feedback"]
     environments = {name: load_entries(name)[0].environment for name in ("tip-speed-feedback", "fast-droop", "mppt")}
     assert environments == {"tip-speed-feedback": V0.env_id, "fast-droop": V1.env_id, "mppt": None}
+    named = {name for order in baselines.ORDER.values() for name in order if isinstance(name, str)}
+    assert named == {path.stem for path in Path(baselines.__file__).parent.glob("[a-z]*.py")}
 
 
 def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path):
@@ -168,17 +172,6 @@ def test_name_of_an_anchor_of_any_version_is_reserved():
         check_entries([Entry(name=name, strategy=name)])
         with pytest.raises(ValueError, match=f"the name '{name}' is reserved"):
             check_entries([Entry(name=name, strategy="deloaded-5")])
-
-
-FOLDER = Path(baselines.__file__).parent
-
-
-def test_entries_are_the_built_in_strategies_and_every_module_is_named():
-    entries = load_entries("baselines", task=V0)
-    assert {entry.name: entry.law for entry in entries if entry.kind == "law"} == STRATEGIES
-    assert [(each.name, each.kind) for each in entries if each.kind != "law"] == [("tip-speed-feedback", "feedback")]
-    named = {name for order in baselines.ORDER.values() for name in order if isinstance(name, str)}
-    assert named == {path.stem for path in FOLDER.glob("[a-z]*.py")}
 
 
 def test_feedback_rests_where_the_turbine_captures_what_is_asked():

@@ -118,16 +118,12 @@ def test_failed_episode_is_kept_and_its_lane_ignores_actions():
         assert episode.metrics["quasi_steady_deviation_hz"] is None
 
 
-def fail(observation, step: int):
-    raise ZeroDivisionError("from inside")
-
-
 BAD = {
     "nan": (lambda o, s: (np.full((3, 4), np.nan if s == 7 else 0.0), None), r"step 7: .*\(3, 4\) must be finite"),
     "shape": (lambda o, s: (np.zeros((3, 2)), None), r"shape \(3, 4\) .*got shape \(3, 2\)"),
     "text": (lambda o, s: ("up", None), "numbers"),
     "numbers-as-text": (lambda o, s: (np.zeros((3, 4)).astype(str), None), "an array of numbers, got one of <U32"),
-    "raises": (fail, r"step 0: predict\(\) raised ZeroDivisionError: from inside \(test_evaluator\.py:\d+\)"),
+    "raises": (lambda o, s: 1 / 0, r"step 0: predict\(\) raised ZeroDivisionError: .* zero \(test_evaluator\.py:\d+\)"),
     "exit": (lambda o, s: sys.exit(3), r"step 0: predict\(\) raised SystemExit: 3"),
     "no-state": (lambda o, s: np.zeros((3, 4)), r"\(actions, state\)"),
 }

@@ -45,14 +45,6 @@ def changed(results: evaluation.Results, changes):
     return found, next(row for row in found.summaries if row.name == "fast-droop")
 
 
-def without_scale(results: evaluation.Results) -> evaluation.Results:
-    """Return results of v0 in which the anchors have changed places."""
-    other = {V0.zero: V0.hundred, V0.hundred: V0.zero}
-    metrics = {(e.entry, e.seed): e.metrics for e in results.episodes}
-    episodes = [dataclasses.replace(e, metrics=metrics[other.get(e.entry, e.entry), e.seed]) for e in results.episodes]
-    return dataclasses.replace(results, episodes=tuple(episodes))
-
-
 def test_table_shows_failures_the_worst_tenth_and_deviations(results_v1):
     reasons = ("stall", "frequency limit", "under-speed", "loss of synchronism")
     failed, row = changed(results_v1, {i: {"failure": reason} for i, reason in enumerate(reasons)})
@@ -177,7 +169,11 @@ def test_scores_of_many_scenarios_are_adjusted(results_v1):
 
 
 def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path):
-    results = without_scale(evaluation.evaluate("deloaded-10", "paper", "test"))
+    right, other = evaluation.evaluate("deloaded-10", "paper", "test"), {V0.zero: V0.hundred, V0.hundred: V0.zero}
+    # The anchors change places.
+    metrics = {(e.entry, e.seed): e.metrics for e in right.episodes}
+    episodes = [dataclasses.replace(e, metrics=metrics[other.get(e.entry, e.entry), e.seed]) for e in right.episodes]
+    results = dataclasses.replace(right, episodes=tuple(episodes))
     rows = results.ranking
     columns = columns_of("terminal", rows)
     assert results.no_score and len(rows) == 3

@@ -100,13 +100,6 @@ def largest_rate(simulator: Simulator) -> float:
     return float(np.abs(simulator.rates()[keep]).max())
 
 
-def distance(simulator: Simulator, state: np.ndarray) -> float:
-    """Largest deviation from a state, without energies and angles."""
-    names = simulator.layout.state_names
-    keep = [i for i, name in enumerate(names) if "energy" not in name and "angle" not in name]
-    return float(np.abs(simulator.state() - state)[keep].max())
-
-
 def fault(time_s: float = 1.0, duration_s: float = 0.15, bus: int = 2) -> tuple[LoadStep, LoadStep]:
     """A short circuit nearby: its reactance takes 2000 Mvar at nominal voltage."""
     return (

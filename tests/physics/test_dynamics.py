@@ -157,7 +157,8 @@ def test_limits_are_held_and_left_without_wind_up(table, disturbance):
     # Left at once: no sample later than 0.1 s after the disturbance is limited.
     last = 0.025 * (np.flatnonzero(found["limiting_reactance"].max(axis=1) > 0.0).max() + 1)
     assert last < events[-1].time_s + 0.1
-    assert extended.distance(simulator, start) < 5e-5
+    keep = [i for i, name in enumerate(simulator.layout.state_names) if "energy" not in name and "angle" not in name]
+    assert np.abs(simulator.state() - start)[keep].max() < 5e-5
 
 
 def test_the_reactive_limit_takes_over_and_gives_back():

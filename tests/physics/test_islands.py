@@ -9,7 +9,7 @@ import pytest
 
 from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, numbers, plant, recorded, scenario, started
 from wtg_gym import GroupTrip, LineTrip, LoadStep, MachineOutage, Plant, get_law, get_suite, simulate
-from wtg_gym.physics.grid import NetworkCase, get_grid
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import n_rows_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.parameters import WtgGroup
@@ -177,12 +177,9 @@ def test_without_its_last_machine_a_grid_of_converters_runs_on():
     )
 
 
-def all_wind() -> NetworkCase:
-    return dataclasses.replace(get_grid("ieee14").case, machines=(), slack_bus=2)
-
-
 def test_wind_turbines_alone_share_the_load_by_one_factor_on_k_or_too_little_wind_is_said_in_one_line():
-    settings = plant(case=all_wind(), groups=ALL_WIND, shedding=NO_SHEDDING)
+    case = dataclasses.replace(get_grid("ieee14").case, machines=(), slack_bus=2)
+    settings = plant(case=case, groups=ALL_WIND, shedding=NO_SHEDDING)
     step = LoadStep(time_s=1.0, bus=3, power_mw=10.0)
     simulator = started(settings, scenario(step, wind=[[10.5], [10.0]], load_noise_bus=2))
     assert largest_rate(simulator) < 1e-10

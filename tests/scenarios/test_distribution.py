@@ -1,6 +1,7 @@
 """Facts about drawn scenarios: what happens in them, the errors of sensors, the wind a group feels."""
 
 import math
+from collections import Counter
 from dataclasses import fields, replace
 
 import numpy as np
@@ -57,18 +58,16 @@ def check(scenario: sc.Scenario, source: ScenarioDistribution, duration_s: float
         assert first <= getattr(scenario, key) <= last
     trips = [event for event in scenario.events if isinstance(event, sc.LineTrip)]
     kinds = sc.GovernorLoss | sc.GroupTrip | sc.MachineOutage | sc.Fault
-    outages = [event for event in scenario.events if isinstance(event, kinds)]
-    load_events = [event for event in scenario.events if event not in trips and event not in outages]
-    machines = [event for event in outages if isinstance(event, sc.MachineOutage)]
-    faults = [event for event in outages if isinstance(event, sc.Fault)]
+    load_events = [event for event in scenario.events if not isinstance(event, sc.LineTrip | kinds)]
+    counts = Counter(type(event) for event in scenario.events)
     assert loads.number[0] <= len(load_events) <= loads.number[1]
-    assert len(machines) <= 1 and len(faults) <= 1 and len(outages) - len(machines) - len(faults) <= 1
+    assert max(counts[kind] for kind in (sc.MachineOutage, sc.Fault, sc.LoadTrip)) <= 1
+    assert counts[sc.GovernorLoss] + counts[sc.GroupTrip] <= 1
     if islanded:
         assert tuple((trip.from_bus, trip.to_bus) for trip in trips) in islanded
         assert len({trip.time_s for trip in trips}) == 1
     else:
         assert len(trips) <= 1
-    assert sum(isinstance(event, sc.LoadTrip) for event in load_events) <= 1
     bus_load_mw = loads_mw(source)
     load = {bus: scenario.load_level * power for bus, power in bus_load_mw.items()}
     for event in scenario.events:

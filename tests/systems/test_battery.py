@@ -7,7 +7,6 @@ import dataclasses
 import importlib.util
 import pickle
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,19 +31,15 @@ BAD = [
 ]
 
 
-def module_of(page: str, name: str, folder: Path):
-    """Return the module that a page asks its reader to save."""
-    path = folder / name
-    path.write_text(files(page)[name], encoding="utf-8")
+@pytest.fixture(scope="module")
+def battery(tmp_path_factory):
+    """The module that the page asks its reader to save."""
+    path = tmp_path_factory.mktemp("howto") / "battery.py"
+    path.write_text(files("docs/howto/battery.md")[path.name], encoding="utf-8")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.fixture(scope="module")
-def battery(tmp_path_factory):
-    return module_of("docs/howto/battery.md", "battery.py", tmp_path_factory.mktemp("howto"))
 
 
 def settings(battery, **options) -> EnvSettings:
