@@ -82,10 +82,13 @@ class Balance:
         return captured - (self.k * np.asarray(speed) ** 3 - self.droop)
 
     def samples(self):
-        """Return rotor speeds that tell all equilibria apart, that of the largest surplus among them."""
+        """Return rotor speeds that tell all equilibria apart; without any surplus, that of the least deficit too."""
         n = 2 + int((self.fastest - self.slowest) * self.ratio_per_speed / RATIO_STEP)
         speeds = np.linspace(self.slowest, self.fastest, n)
-        peak = int(np.argmax(self.surplus(speeds)))
+        surplus = self.surplus(speeds)
+        peak = int(np.argmax(surplus))
+        if surplus[peak] > 0.0:
+            return speeds
         bounds, options = (speeds[max(peak - 1, 0)], speeds[min(peak + 1, n - 1)]), {"xatol": 1e-11}
         best = minimize_scalar(lambda x: -float(self.surplus(x)), bounds=bounds, method="bounded", options=options)
         return np.unique(np.append(speeds, best.x))

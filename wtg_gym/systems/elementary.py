@@ -4,8 +4,13 @@ Libm would be called for one lane after the other. These are polynomials on a re
 bits in every lane, and as close to libm as the tests say.
 """
 
+import ctypes
 import math
-from fractions import Fraction
+import sys
+
+# Python's own is of 3.13 and raises where C gives infinity or NaN.
+_fused_multiply_add = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None).fma
+_fused_multiply_add.argtypes, _fused_multiply_add.restype = [ctypes.c_double] * 3, ctypes.c_double
 
 
 def fma(a: float, b: float, c: float) -> float:
@@ -13,16 +18,8 @@ def fma(a: float, b: float, c: float) -> float:
 
     Left to itself the compiler might fuse in a batch and not in a single environment, or on one processor alone.
     """
-    if not math.isfinite(c):
-        return c if math.isfinite(a) and math.isfinite(b) else a * b + c
-    if not (math.isfinite(a) and math.isfinite(b)):
-        return a * b + c
-    try:
-        exact = Fraction(a) * Fraction(b) + Fraction(c)
-        # A sum of nothing keeps the sign that floating-point zeros give it.
-        return float(exact) if exact else a * b + c
-    except OverflowError:
-        return a * b + c
+    result: float = _fused_multiply_add(a, b, c)
+    return result
 
 
 def select(condition: bool, value: float, other: float) -> float:
