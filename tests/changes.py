@@ -55,5 +55,5 @@ def read_or_refused(path: Path, read: Callable[[Path], object]) -> None:
     try:
         read(path)
     except ValueError as error:
-        said = str(error)
-        assert path.name in said and said.isprintable() and len(said) < 2000, said
+        message = str(error)
+        assert path.name in message and message.isprintable() and len(message) < 2000, message

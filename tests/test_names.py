@@ -96,10 +96,10 @@ def test_every_door_has_the_rule(door, name, tmp_path):
 
 
 def test_command_names_the_law_file_and_the_rule(tmp_path, capsys):
-    for name, said in (("=1+1", "characters on one line"), ("M-PPT", "looks like, that of a built-in strategy")):
+    for name, message in (("=1+1", "characters on one line"), ("M-PPT", "looks like, that of a built-in strategy")):
         law = _law(name, tmp_path / "x.toml")
         error = error_of(capsys, "simulate", "--strategy", str(law))
-        assert said in error and "x.toml" in error
+        assert message in error and "x.toml" in error
 
 
 def test_names_that_look_alike_are_one():

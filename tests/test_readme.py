@@ -68,12 +68,12 @@ def run(command: list[str], folder: Path, environment: dict[str, str] | None = N
 
 def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(plain, tmp_path):
     installed = Path(plain["PYTHONPATH"])
-    said = run([sys.executable, "-c", "import wtg_gym; print(wtg_gym.__file__)"], tmp_path, plain)
-    assert Path(said.strip()) == installed / "wtg_gym" / "__init__.py"
+    message = run([sys.executable, "-c", "import wtg_gym; print(wtg_gym.__file__)"], tmp_path, plain)
+    assert Path(message.strip()) == installed / "wtg_gym" / "__init__.py"
     assert not (installed / "baselines").exists() and not (installed / "agents").exists()
-    said = run([sys.executable, "-c", blocks("README.md", "python")[0]], tmp_path, plain)
-    assert re.fullmatch(r"score -?\d+\.\d, \d\d\.\d\d … \d\d\.\d\d Hz, no failure\n", said)
-    assert said in blocks("docs/start.md", "text")
+    message = run([sys.executable, "-c", blocks("README.md", "python")[0]], tmp_path, plain)
+    assert re.fullmatch(r"score -?\d+\.\d, \d\d\.\d\d … \d\d\.\d\d Hz, no failure\n", message)
+    assert message in blocks("docs/start.md", "text")
 
 
 def test_commands_run_after_a_plain_install_in_an_empty_folder(plain, tmp_path):

@@ -150,8 +150,8 @@ PLANT = {"secondary_time_s": 0.0}
 
 
 def outcome(name: str, law: str) -> tuple[Recording, bool]:
-    found, (passed, _) = run_grid_test(GRID_TESTS[name], load_entries(law)[0])
-    return found, passed
+    result, (passed, _) = run_grid_test(GRID_TESTS[name], load_entries(law)[0])
+    return result, passed
 
 
 def test_every_test_says_where_it_comes_from():
@@ -160,27 +160,27 @@ def test_every_test_says_where_it_comes_from():
 
 
 def test_a_law_that_sheds_power_survives_a_surplus_and_one_that_cannot_does_not():
-    found, passed = outcome("island-surplus", "mppt")
-    assert passed and found.status is Status.RUNNING and found.shed_energy_mws[-1] == 0.0
-    found, passed = outcome("island-surplus", "coordinated-piecewise")
-    assert not passed and found.status is Status.FREQUENCY_LIMIT and found.frequency_hz[-1] > 51.4
+    result, passed = outcome("island-surplus", "mppt")
+    assert passed and result.status is Status.RUNNING and result.shed_energy_mws[-1] == 0.0
+    result, passed = outcome("island-surplus", "coordinated-piecewise")
+    assert not passed and result.status is Status.FREQUENCY_LIMIT and result.frequency_hz[-1] > 51.4
 
 
 def test_a_source_drags_the_groups_to_its_frequency_and_back():
-    found, passed = outcome("rocof-up", "coordinated-tuned")
+    result, passed = outcome("rocof-up", "coordinated-tuned")
     assert passed
     # The ramp ends at 2.25 s, its way back begins at 7.25 s; in between the groups swing about its frequency.
-    assert found.frequency_hz[found.at(4.0) : found.at(7.2) + 1].mean() == pytest.approx(51.0, abs=0.01)
-    assert found.frequency_hz[-1] == pytest.approx(50.0, abs=0.01)
+    assert result.frequency_hz[result.at(4.0) : result.at(7.2) + 1].mean() == pytest.approx(51.0, abs=0.01)
+    assert result.frequency_hz[-1] == pytest.approx(50.0, abs=0.01)
 
 
 @pytest.mark.parametrize(
     ("name", "power"), [("angle-step", 0.181), ("angle-step-30", 0.511), ("angle-step-forward", -0.54)]
 )
 def test_an_angle_step_is_measured_one_simulation_step_after_it(name, power):
-    found, _ = outcome(name, "coordinated-piecewise")
-    total, before = found.total(), found.at(2.0)
-    assert found.time_s[before + 1] == pytest.approx(2.025)
+    result, _ = outcome(name, "coordinated-piecewise")
+    total, before = result.total(), result.at(2.0)
+    assert result.time_s[before + 1] == pytest.approx(2.025)
     assert total[before + 1] - total[before] == pytest.approx(power, abs=0.005)
 
 
@@ -192,13 +192,13 @@ def test_the_last_machine_is_lost_in_balance_and_with_more_load_than_the_groups_
 
 
 def test_the_current_limit_is_reached_held_and_left_and_a_voltage_above_the_curve_fails_at_any_bus():
-    found, passed = outcome("current-limit", "coordinated-tuned")
-    assert passed and 1.2 < found.bus_voltage_pu.max() < 1.25
-    assert found.current_pu.max() == pytest.approx(1.2, abs=1e-6)
-    assert found.limited.any() and not found.limited[found.at(3.0) :].any()
-    voltage = found.bus_voltage_pu.copy()
-    voltage[found.at(5.0) : found.at(8.0), 0] = 1.21
-    above = dataclasses.replace(found, bus_voltage_pu=voltage)
+    result, passed = outcome("current-limit", "coordinated-tuned")
+    assert passed and 1.2 < result.bus_voltage_pu.max() < 1.25
+    assert result.current_pu.max() == pytest.approx(1.2, abs=1e-6)
+    assert result.limited.any() and not result.limited[result.at(3.0) :].any()
+    voltage = result.bus_voltage_pu.copy()
+    voltage[result.at(5.0) : result.at(8.0), 0] = 1.21
+    above = dataclasses.replace(result, bus_voltage_pu=voltage)
     assert GRID_TESTS["current-limit"].verdict(above) == (False, "above 1.2 p.u. for 3.0 s")
 
 
@@ -210,10 +210,10 @@ def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch():
 @pytest.mark.parametrize("law", ["deloaded-10", "coordinated-tuned"])
 def test_a_law_alone_has_the_modes_of_the_linearised_plant(law):
     entry, plant = load_entries(law)[0], EnvSettings(suite="standard-v1", plant=PLANT).resolved_plant
-    found, scenario, step_s = damping(entry, plant=PLANT), Loop(entry, PLANT).scenario, plant.simulation_dt
-    assert found.rest.is_reached and found.rest.largest_action == 0.0 and found.largest_rate < 0.0
+    result, scenario, step_s = damping(entry, plant=PLANT), Loop(entry, PLANT).scenario, plant.simulation_dt
+    assert result.rest.is_reached and result.rest.largest_action == 0.0 and result.largest_rate < 0.0
     for slope, side in zip(SLOPES, ("under", "over"), strict=True):
-        if not (seen := np.array([mode.eigenvalue for mode in found.modes if mode.slope in (slope, "both")])).size:
+        if not (seen := np.array([mode.eigenvalue for mode in result.modes if mode.slope in (slope, "both")])).size:
             continue
         linear = np.linalg.eigvals(linearise(scenario, entry.law, plant, side=side)[0])
         steps = step_s * np.array([value for value in linear if value.imag > 0.0 and value.real > -9.0])
@@ -227,6 +227,6 @@ def test_a_law_alone_has_the_modes_of_the_linearised_plant(law):
 
 def test_a_policy_moves_the_modes_of_its_law():
     policy = load_entries("fast-droop")[0]
-    found, alone = damping(policy), damping(load_entries(policy.law.name)[0])
-    assert found.rest.is_reached and found.rest.largest_action < 1e-3
-    assert found.modes[0].damping_ratio < alone.modes[0].damping_ratio - 0.02
+    result, alone = damping(policy), damping(load_entries(policy.law.name)[0])
+    assert result.rest.is_reached and result.rest.largest_action < 1e-3
+    assert result.modes[0].damping_ratio < alone.modes[0].damping_ratio - 0.02

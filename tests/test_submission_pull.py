@@ -79,22 +79,22 @@ def judge(base, tmp_path):
 
 
 def test_new_folder_is_checked_beside_the_others_and_scored(judge, tmp_path):
-    code, said = judge(entry("mine"))
+    code, message = judge(entry("mine"))
     beside = " ".join(f"{tmp_path}/base/agents/policies/{name}/" for name in ("first", "second"))
     mine = f"{tmp_path}/pull/agents/policies/mine"
     options = f"--beside {beside} --results results --cards results/cards"
-    assert (code, said) == (0, f"wtg-gym submission score {mine} {options}\n")
+    assert (code, message) == (0, f"wtg-gym submission score {mine} {options}\n")
 
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_other_changes_are_refused(change, judge):
-    code, said = judge(CHANGES[change])
-    assert code == 1 and "changes nothing else" in said and "wtg-gym" not in said
+    code, message = judge(CHANGES[change])
+    assert code == 1 and "changes nothing else" in message and "wtg-gym" not in message
 
 
 def test_whole_folder_may_be_withdrawn(judge):
-    code, said = judge(lambda pull: shutil.rmtree(pull / "agents/policies/second"))
-    assert code == 0 and "may ask for:\n  agents/policies/second\nnothing to score" in said
+    code, message = judge(lambda pull: shutil.rmtree(pull / "agents/policies/second"))
+    assert code == 0 and "may ask for:\n  agents/policies/second\nnothing to score" in message
 
 
 def test_merge_that_takes_back_what_the_branch_did_is_refused(base, judge):
@@ -114,5 +114,5 @@ def test_merge_that_takes_back_what_the_branch_did_is_refused(base, judge):
         git(pull, "merge", "--quiet", "--strategy", "ours", "--message", "nothing of it", mended)
         entry("mine")(pull)
 
-    code, said = judge(undo)
-    assert code == 1 and "must have one latest common ancestor, they have 2" in said
+    code, message = judge(undo)
+    assert code == 1 and "must have one latest common ancestor, they have 2" in message

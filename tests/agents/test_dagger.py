@@ -138,12 +138,12 @@ def test_it_does_not_look_at_its_last_actions():
 
 
 def test_times_that_do_not_fit_are_refused(capsys):
-    for words, said in (
+    for words, message in (
         (["--interval-s", "0.1"], "interval_s"),
         (["--horizon-s", "5"], "horizon_s = 5 s must reach to the next plan, in 10 s"),
     ):
         assert planning.main(["--episodes", "3", *words]) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 OPTIONS = ["--strategy", "coordinated-free", "--action-mode", "k", "--timesteps", "2160", "--interval", "1080"]

@@ -65,15 +65,15 @@ def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks()
         Population(settings, 3, 4, Hyperparameters(population=4, mean_weight=w, mark_weight=w)) for w in (0.0, 1.0)
     )
     policy, scenarios = policy_of(0), plain.lanes.scenarios(range(1_000_057, 1_000_060))
-    found = [each.objectives(policy, np.zeros((4, policy.n_parameters)), scenarios) for each in (plain, weighed)]
+    result = [each.objectives(policy, np.zeros((4, policy.n_parameters)), scenarios) for each in (plain, weighed)]
     costs = plain.lanes.cost_sums().sum(axis=1)[:3]
     strata = [plain.lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios]
     offsets, scale = np.array([{"ample": 40.0, "tight": 200.0, "short": 1000.0}[name] for name in strata]), V1.scale
-    assert found[0] == pytest.approx(np.mean(np.log(costs + offsets) / scale))
+    assert result[0] == pytest.approx(np.mean(np.log(costs + offsets) / scale))
     extremes = [weighed.lanes.simulator.lane_values(name)[:3] for name in ("coi_min", "coi_max")]
     largest_hz = 50.0 * np.abs(np.array(extremes) - 1.0).max(axis=0)
     bad = np.clip((largest_hz - 0.6) / 0.3, 0.0, 1.0)
-    assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scale + bad)) and bad.any()
+    assert result[1] - result[0] == pytest.approx(np.mean(costs / offsets / scale + bad)) and bad.any()
 
 
 def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):

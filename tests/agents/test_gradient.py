@@ -59,8 +59,8 @@ def test_a_failure_comes_gradually():
     falling[0, names.index("frequency_pu")] = 0.95
     for terms in (alive, charged):
         assert failures.costs(terms, failures.watched(outputs)).item() == pytest.approx(terms.sum().item())
-        found = failures.costs(terms, failures.watched(falling)).item()
-        assert found == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
+        result = failures.costs(terms, failures.watched(falling)).item()
+        assert result == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
 
 
 def test_what_trips_or_is_shed_changes_the_gradient_alone():
@@ -89,8 +89,8 @@ def test_what_trips_or_is_shed_changes_the_gradient_alone():
 def test_a_slow_rotor_ends_the_episode_where_rotors_do():
     failures, alive, outputs, names = watched({**V1, "on_failure": "terminate"})
     outputs[0, names.index("rotor_1_speed_pu")] = 0.5
-    found = failures.costs(alive, failures.watched(outputs)).item()
-    assert found == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
+    result = failures.costs(alive, failures.watched(outputs)).item()
+    assert result == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
 
 
 def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale():
@@ -135,6 +135,6 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
 
 
 def test_layers_without_width_are_refused(tmp_path, capsys):
-    for given, said in ((["--hidden", "8", "0"], "hidden must be a whole number"), (["--lstm", "-1"], "lstm must")):
+    for given, message in ((["--hidden", "8", "0"], "hidden must be a whole number"), (["--lstm", "-1"], "lstm must")):
         assert main([*given, "--output", str(tmp_path / "run")]) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err

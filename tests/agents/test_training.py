@@ -353,8 +353,8 @@ def test_every_group_acts_by_what_it_sees_itself_its_size_among_it(suite):
     n, width = len(turbines), 7
     agent = Agent(width + 1, 2)
     observations = torch.randn(3, n * width)
-    found = SharedPolicy(agent, settings)(observations)
+    result = SharedPolicy(agent, settings)(observations)
     for group in range(n):
         size = (turbines[group] / turbines.mean()).expand(3, 1)
         (expected,) = agent(torch.cat([observations[:, width * group : width * (group + 1)], size], dim=1))
-        assert torch.allclose(found[:, 2 * group : 2 * group + 2], expected)
+        assert torch.allclose(result[:, 2 * group : 2 * group + 2], expected)

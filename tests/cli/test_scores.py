@@ -81,9 +81,9 @@ def test_leaderboard_ranks_writes_and_updates_the_readme(capsys, tmp_path):
     results = tmp_path / "results"
     arguments = [*_PAPER, "--results", str(results), "--readme", str(readme)]
     assert main(arguments) == 0
-    said = capsys.readouterr()
-    assert f"{readme}: updated" in said.err
-    rows = [line.split() for line in said.out.splitlines() if line.split()[1:2] and line.split()[0] in "123"]
+    message = capsys.readouterr()
+    assert f"{readme}: updated" in message.err
+    rows = [line.split() for line in message.out.splitlines() if line.split()[1:2] and line.split()[0] in "123"]
     assert rows[0][:2] == ["1", "coordinated-piecewise"]
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
@@ -115,8 +115,8 @@ def test_results_of_other_scenarios_or_settings_are_not_overwritten(capsys, tmp_
     stored = _files(tmp_path)
     capsys.readouterr()
     for again, other in (("3", "seeds"), ("1 --duration 10", "settings and seeds")):
-        said = error_of(capsys, *common, "--scenarios", *again.split())
-        assert f"its standard-validation.json is of other {other} and would be lost; give another folder" in said
+        message = error_of(capsys, *common, "--scenarios", *again.split())
+        assert f"its standard-validation.json is of other {other} and would be lost; give another folder" in message
     assert _files(tmp_path) == stored
     dataclasses.replace(Results.read(tmp_path / "standard-validation.json"), suite_hash="0" * 64).write(tmp_path)
     assert "is of other suite_hash and would be lost" in error_of(capsys, *common, "--scenarios", "2")
@@ -150,10 +150,10 @@ def _recompute(path: Path, *options: str) -> int:
 
 def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named(folder, capsys):
     assert _recompute(folder / "standard-test.json") == 0
-    said = capsys.readouterr()
-    assert said.out.startswith("identical: ")
-    assert "not the benchmark's own: 4 scenarios, those of the benchmark are 200" in said.err
-    assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in said.err
+    message = capsys.readouterr()
+    assert message.out.startswith("identical: ")
+    assert "not the benchmark's own: 4 scenarios, those of the benchmark are 200" in message.err
+    assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in message.err
     assert len(departures(Results.read(folder / "standard-test.json"))) == 2
 
 
@@ -174,9 +174,9 @@ def test_numbers_that_were_made_up_are_named(folder, tmp_path, capsys):
 def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, differs, folder):
     results = Results.read(folder / "standard-test.json")
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
-    found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
-    named = [where for where, *_ in (found.differences if differs else found.circumstances)]
-    assert named == [f"entry deloaded-5: {key}"] and bool(found.differences) == differs
+    result = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
+    named = [where for where, *_ in (result.differences if differs else result.circumstances)]
+    assert named == [f"entry deloaded-5: {key}"] and bool(result.differences) == differs
 
 
 def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):

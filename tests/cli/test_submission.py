@@ -28,8 +28,8 @@ def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(capsys, tmp_p
     filled = empty.replace("authors = []", 'authors = ["A"]').replace('name = ""', 'name = "Mine"')
     entry.write_text(filled, encoding="utf-8")
     assert main(["submission", "check", str(target)]) == 0
-    said = capsys.readouterr().out
-    assert said.count(" passed ") == 6 and "accepted, sha256" in said
+    message = capsys.readouterr().out
+    assert message.count(" passed ") == 6 and "accepted, sha256" in message
 
 
 def test_score_is_that_of_evaluate(capsys, tmp_path):
@@ -37,8 +37,8 @@ def test_score_is_that_of_evaluate(capsys, tmp_path):
     (seeds[1] / "policy.onnx").write_bytes(models.other().SerializeToString())
     results = tmp_path / "results"
     assert main(["submission", "score", *map(str, seeds), *_FEW, "--results", str(results)]) == 0
-    said = capsys.readouterr().out
-    assert "Mine (2 seeds)" in said and "mppt" in said
+    message = capsys.readouterr().out
+    assert "Mine (2 seeds)" in message and "mppt" in message
     stored = Results.read(results / "standard-test.json")
     again = evaluate([load_entries(seed)[0] for seed in seeds], "standard", "test", seeds=[20_000, 20_001])
     assert stored.episodes == again.episodes and stored.entries == again.entries
@@ -47,14 +47,14 @@ def test_score_is_that_of_evaluate(capsys, tmp_path):
 def test_score_ranks_what_is_not_refused(capsys, tmp_path):
     good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after("action = Tile(linear)"), OTHER)
     assert main(["submission", "score", str(good), str(bad), *_FEW, "--results", str(tmp_path / "r")]) == 1
-    said = capsys.readouterr()
-    assert "Mine" in said.out and "Other" not in said.out
-    assert "b: loading: onnxruntime cannot load the policy" in said.err
+    message = capsys.readouterr()
+    assert "Mine" in message.out and "Other" not in message.out
+    assert "b: loading: onnxruntime cannot load the policy" in message.err
     assert {e["name"] for e in Results.read(tmp_path / "r" / "standard-test.json").entries} == {"Mine", *V0.anchors}
     twin = folder(tmp_path / "c")
     assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
-    said = capsys.readouterr()
-    assert said.out == "" and "Mine (training seed 0) is given twice" in said.err
+    message = capsys.readouterr()
+    assert message.out == "" and "Mine (training seed 0) is given twice" in message.err
     assert not list((tmp_path / "s").glob("*.*"))
 
 

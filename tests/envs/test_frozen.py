@@ -95,7 +95,7 @@ def _single(**settings):
 
 
 def cases(version: str):
-    found = {}
+    result = {}
     modes = list(itertools.product(ACTION_MODES, OBSERVATION_MODES))
     splits = itertools.cycle(("train", "validation", "test"))
     autoresets, threads = itertools.cycle(MODES), itertools.cycle((1, 2))
@@ -103,8 +103,8 @@ def cases(version: str):
     def add(name: str, settings) -> None:
         settings = {"split": next(splits), **_LENGTHS[version], **settings}
         mode, n_threads = next(autoresets), next(threads)
-        found[f"{name}, single"] = lambda: _single(**settings)
-        found[f"{name}, batched"] = lambda: _batched(mode, n_threads, _N_STEPS[version], **settings)
+        result[f"{name}, single"] = lambda: _single(**settings)
+        result[f"{name}, batched"] = lambda: _batched(mode, n_threads, _N_STEPS[version], **settings)
 
     suites = [name for name, suite in SUITES.items() if suite.env_id == f"GFMWTG-14bus-{version}"]
     for suite, (action, observation) in itertools.product(suites, modes):
@@ -112,7 +112,7 @@ def cases(version: str):
         add(f"{suite}, {action}, {observation}", chosen)
     for name, settings in _VARIANTS[version].items():
         add(name, settings)
-    return found
+    return result
 
 
 RECORDED = {

@@ -87,16 +87,16 @@ def test_any_settings_and_actions_play_to_the_end(given_arguments, actions, seed
 @st.composite
 def event_lists(draw: st.DrawFn) -> tuple[sc.Event, ...]:
     buses = st.integers(1, 14)
-    found: list[sc.Event] = [sc.LoadStep(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW))]
-    found.append(sc.LoadRamp(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW), duration_s=0.5))
-    found += [sc.LoadTrip(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([5, 9, 14])))]
-    found += [sc.MachineOutage(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([3, 6, 8])))]
-    found += [sc.GroupTrip(time_s=draw(TIMES), group=group) for group in draw(st.sets(st.integers(0, 1)))]
-    found += [sc.GovernorLoss(time_s=draw(TIMES), bus=1)] if draw(st.booleans()) else []
+    result: list[sc.Event] = [sc.LoadStep(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW))]
+    result.append(sc.LoadRamp(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW), duration_s=0.5))
+    result += [sc.LoadTrip(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([5, 9, 14])))]
+    result += [sc.MachineOutage(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([3, 6, 8])))]
+    result += [sc.GroupTrip(time_s=draw(TIMES), group=group) for group in draw(st.sets(st.integers(0, 1)))]
+    result += [sc.GovernorLoss(time_s=draw(TIMES), bus=1)] if draw(st.booleans()) else []
     after_s = draw(st.none() | st.integers(1, 60).map(lambda n: n * 0.025))
     from_bus, to_bus = draw(LINES)
-    found.append(sc.LineTrip(time_s=draw(TIMES), from_bus=from_bus, to_bus=to_bus, recloses_after_s=after_s))
-    return tuple(draw(st.permutations(found)))
+    result.append(sc.LineTrip(time_s=draw(TIMES), from_bus=from_bus, to_bus=to_bus, recloses_after_s=after_s))
+    return tuple(draw(st.permutations(result)))
 
 
 def numbers(name: str) -> st.SearchStrategy[float]:

@@ -135,9 +135,9 @@ def played(n_threads: int, n_lanes: int, version: str) -> list[list[np.ndarray]]
     """What 45 steps of a batch return, with resets between them."""
     env = staggered(n_threads, n_lanes, version)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (45, *env.action_space.shape)).astype(np.float32)
-    found = [[np.copy(values) for values in env.step(own)[:4]] for own in actions]
+    result = [[np.copy(values) for values in env.step(own)[:4]] for own in actions]
     env.close()
-    return found
+    return result
 
 
 @pytest.mark.parametrize(("n_threads", "version"), [(9, "v0"), (3, "v1")])

@@ -164,21 +164,21 @@ def numbers_of(seeds: np.ndarray, steps: np.ndarray, channels: np.ndarray) -> np
     tables = build_table((PROGRAM,), layout)
     block, scratch = np.zeros((layout.n_rows, 16)), np.zeros((layout.n_scratch, 16))
     block[layout.first_rows(DRAWS, "channel")] = channels[:, np.newaxis]
-    found = []
+    result = []
     for first in range(0, seeds.size, 16):
         n = min(16, seeds.size - first)
         block[layout.first_rows(DRAWS, "seed"), :n] = seeds[first : first + n]
         block[layout.first_rows(DRAWS, "step"), :n] = steps[first : first + n]
         ROUTINE((block, scratch), tables)
-        found.append(scratch[layout.first_rows(DRAWS, "number"), :n].T.copy())
-    return np.concatenate(found)
+        result.append(scratch[layout.first_rows(DRAWS, "number"), :n].T.copy())
+    return np.concatenate(result)
 
 
 def noise_of(n_seeds: int, n_steps: int, n_channels: int = N, first_seed: int = 0) -> np.ndarray:
     """The noise of neighbouring seeds (n_seeds, n_steps, n_channels)."""
     seeds, steps = np.meshgrid(first_seed + np.arange(n_seeds), np.arange(n_steps), indexing="ij")
-    found = numbers_of(seeds.ravel(), steps.ravel(), np.arange(n_channels))
-    return found.reshape(n_seeds, n_steps, n_channels)
+    result = numbers_of(seeds.ravel(), steps.ravel(), np.arange(n_channels))
+    return result.reshape(n_seeds, n_steps, n_channels)
 
 
 def test_noise_is_the_same_in_plain_python_and_compiled():

@@ -41,8 +41,8 @@ def changed(results: evaluation.Results, changes):
         dataclasses.replace(e, **{"failure": "", **changes.get(e.seed - 10_000, {})}) if e.entry == "fast-droop" else e
         for e in results.episodes
     )
-    found = dataclasses.replace(results, episodes=episodes)
-    return found, next(row for row in found.summaries if row.name == "fast-droop")
+    result = dataclasses.replace(results, episodes=episodes)
+    return result, next(row for row in result.summaries if row.name == "fast-droop")
 
 
 def test_table_shows_failures_the_worst_tenth_and_deviations(results_v1):

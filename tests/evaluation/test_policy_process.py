@@ -108,7 +108,7 @@ def test_every_batch_has_a_process_of_its_own():
 
 
 def test_process_that_stops_answering_is_killed_in_time(monkeypatch):
-    for limit, said in (("STEP_S", r"took longer than .* 0\.5 s for a step"), ("TOTAL_S", r"s in all")):
+    for limit, message in (("STEP_S", r"took longer than .* 0\.5 s for a step"), ("TOTAL_S", r"s in all")):
         with opened() as policy:
             pid, now = pid_of(policy), time.monotonic
             with monkeypatch.context() as patch:
@@ -117,7 +117,7 @@ def test_process_that_stops_answering_is_killed_in_time(monkeypatch):
                 assert policy.predict(ONES)[0].shape == (3, M)
                 patch.setattr(policy_process, limit, 0.5)
                 os.kill(pid, signal.SIGSTOP)
-                with pytest.raises(PolicyError, match=said):
+                with pytest.raises(PolicyError, match=message):
                     policy.predict(ONES)
             assert gone(pid)
 

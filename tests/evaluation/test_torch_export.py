@@ -121,8 +121,8 @@ class Answers(nn.Linear):
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_exported_is_refused_and_nothing_is_written(case, tmp_path):
-    make, said = REFUSED[case]
-    with pytest.raises(ValueError, match=said):
+    make, message = REFUSED[case]
+    with pytest.raises(ValueError, match=message):
         export_onnx(make(observation_width()), tmp_path / "mine", **ENTRY)
     assert not (tmp_path / "mine").exists()
 

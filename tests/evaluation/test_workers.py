@@ -103,8 +103,8 @@ def test_dask_cluster_at_an_address_plays_names_a_lost_worker_or_is_named(tmp_pa
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
     ):
         there = Workers("dask", cluster.scheduler_address)
-        found, expected = (evaluate([], "standard", "test", workers=where, **arguments) for where in (there, None))
-        assert found == expected
+        result, expected = (evaluate([], "standard", "test", workers=where, **arguments) for where in (there, None))
+        assert result == expected
         with pytest.raises(ValueError, match="a dask worker was lost, KilledWorker"):
             evaluate([mortal], "standard", "test", workers=there, **arguments)
     assert evaluate([], "standard", "test", workers=Workers("dask", jobs=2), **arguments) == expected
@@ -116,10 +116,10 @@ def test_dask_cluster_at_an_address_plays_names_a_lost_worker_or_is_named(tmp_pa
 
 def test_worker_with_other_code_plays_nothing():
     wanted = {**circumstances(), "source code": "another"}
-    said = workers._work(lambda *_: pytest.fail("played"), b"", [20_000], wanted)
-    assert isinstance(said, str) and "could give other numbers: source code is " in said
-    said = workers._work(lambda *_: pytest.fail("played"), b"no pickle", [20_000], circumstances())
-    assert isinstance(said, str) and "cannot play an entry: " in said
+    message = workers._work(lambda *_: pytest.fail("played"), b"", [20_000], wanted)
+    assert isinstance(message, str) and "could give other numbers: source code is " in message
+    message = workers._work(lambda *_: pytest.fail("played"), b"no pickle", [20_000], circumstances())
+    assert isinstance(message, str) and "cannot play an entry: " in message
 
 
 def test_policy_that_cannot_travel_is_named():

@@ -224,8 +224,8 @@ def data_of_grid(name: str) -> dict[str, Any]:
 
 def _values(names: str, record: Any) -> dict[str, float]:
     """Return the numbers of a record as the file calls them; a dead band of 0 is none."""
-    found = {key: getattr(record, field) for field, key in field_names(names)}
-    return {key: value for key, value in found.items() if (key, value) != ("db", 0.0)}
+    result = {key: getattr(record, field) for field, key in field_names(names)}
+    return {key: value for key, value in result.items() if (key, value) != ("db", 0.0)}
 
 
 def _power_flow(case: NetworkCase) -> tuple[Any, Any]:

@@ -75,9 +75,9 @@ def _require_power_flow(case: Case, simulator: Simulator) -> None:
     own, given = simulator.bus_voltages(), np.array(list(case.voltage.values()))
     slack = case.network.bus_index(case.network.slack_bus)
     assert np.abs(own / own[slack] - given / given[slack]).max() < 1e-5, f"{case.network.name}: other voltages"
-    found = dict(zip(case.columns, _columns(simulator), strict=True))
+    result = dict(zip(case.columns, _columns(simulator), strict=True))
     for key, power in case.power.items():
-        assert abs(complex(found[f"Pe{key}"], found[f"Qe{key}"]) - power) < 1e-4, f"machine {key}: other power"
+        assert abs(complex(result[f"Pe{key}"], result[f"Qe{key}"]) - power) < 1e-4, f"machine {key}: other power"
 
 
 def _columns(simulator: Simulator) -> np.ndarray:

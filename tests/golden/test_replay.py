@@ -50,8 +50,8 @@ def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(
     voltage, power = (2e-4, 5e-3) if large else (5e-5 if path.stem == "faults" else 2e-5, 5e-4)
     if path.parent.name in EVENTS:
         power = 1e-2  # limits bind within a step
-        found = replay(case, (), times[:2], ROW_S / 3)
-        assert max(abs(found[name][0] - trace[name][0]) for name in trace if name[0] == "V") < 1e-10
+        result = replay(case, (), times[:2], ROW_S / 3)
+        assert max(abs(result[name][0] - trace[name][0]) for name in trace if name[0] == "V") < 1e-10
     assert default["w"] < 5e-6 and default["Pe"] < power and default["V"] < voltage
 
 
@@ -109,8 +109,8 @@ def held_groups(name: str, power_mw: float, **more) -> Simulator:
 
     names = [f"{quantity}{key}" for own in (keys, ("2a", "2b")) for quantity in ("w", "Pe") for key in own]
     names += [f"V{number}" for number in case.network.bus_numbers]
-    found = np.array(sampled(simulator, times, look))
-    largest = differences(case, trace, dict(zip(names, found.T, strict=True)))
+    result = np.array(sampled(simulator, times, look))
+    largest = differences(case, trace, dict(zip(names, result.T, strict=True)))
     assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
     return simulator
 
@@ -207,10 +207,10 @@ class IndependentConverter:
             )
             rows += [[*x, *self.seen(x)] for t, x in zip(done.t, done.y.T, strict=True) if t in wanted]
             state = done.y[:, -1].copy()
-        found = np.array(rows)
+        result = np.array(rows)
         names = ("speed", "filter", "rotor_speed", "over_power", "under_power", "energy_delivered", "energy_chopped")
-        numbers = dict(zip((*names, "heat"), found.T[1:9], strict=True))
-        return numbers | {"power": found[:, 11], "shift": found[:, 13]}
+        numbers = dict(zip((*names, "heat"), result.T[1:9], strict=True))
+        return numbers | {"power": result[:, 11], "shift": result[:, 13]}
 
 
 def test_limits_of_power_and_torque_and_the_chopper_agree_with_a_second_implementation():
@@ -248,10 +248,10 @@ def test_limits_of_power_and_torque_and_the_chopper_agree_with_a_second_implemen
     simulator.start(0, what, (law,))
     times = 0.1 * np.arange(1, 201)
     expected = IndependentConverter(k, 11.0, (0.55, 0.1, 0.05)).run(changes, times)
-    found = recorded(simulator, 20.0, *expected)
-    assert len(found["coi"]) == 200
+    result = recorded(simulator, 20.0, *expected)
+    assert len(result["coi"]) == 200
     for name, values in expected.items():
         tolerance = {"power": 1e-5, "heat": 1e-5, "energy_delivered": 2e-6, "energy_chopped": 2e-6}.get(name, 2e-7)
-        assert np.abs(found[name][:, 0] - values).max() < tolerance, name
+        assert np.abs(result[name][:, 0] - values).max() < tolerance, name
     assert expected["shift"].min() < -0.01 and expected["shift"].max() > 0.01 and expected["heat"].max() > 0.1
     assert simulator.wtg_values("pitch")[0] == 0.0

@@ -96,12 +96,12 @@ def given(n_wtg: int, *events, wind: float = 9.0, bus: int = 3) -> sc.Scenario:
 
 def agrees(tape: Tape, scenarios: list[sc.Scenario], actions: np.ndarray, tolerance: float = 1e-5) -> Gradient:
     """Check the gradient of the cost with respect to the actions, along some way; return it."""
-    found = tape.gradient(scenarios, actions)
+    result = tape.gradient(scenarios, actions)
     way = np.random.default_rng(3).normal(size=actions.shape)
     expected = central(lambda h: played(tape, scenarios, actions + h * way)).sum(axis=1)
     assert np.abs(expected).max() > 1e-3
-    assert along(found, way) == pytest.approx(expected, rel=tolerance, abs=tolerance * np.abs(expected).max())
-    return found
+    assert along(result, way) == pytest.approx(expected, rel=tolerance, abs=tolerance * np.abs(expected).max())
+    return result
 
 
 @pytest.mark.parametrize("settings", [{}, {**V1, "suite": "faults"}, KUNDUR])
@@ -125,8 +125,8 @@ def test_a_step_is_replayed_to_the_last_bit(settings, monkeypatch):
     expected = [*(tape.before(step) for step in range(1, 60)), simulator.blocks]
     for ours, theirs in zip(after, expected, strict=True):
         values = (blocks[:, :, :N_LANES] for blocks in (ours, theirs))
-        found, given = (np.delete(own, active, axis=1) for own in values)
-        assert np.array_equal(found, given)
+        result, given = (np.delete(own, active, axis=1) for own in values)
+        assert np.array_equal(result, given)
 
 
 @pytest.mark.parametrize(
@@ -147,8 +147,8 @@ def test_the_gradient_of_each_term_is_that_of_central_differences(settings, firs
     for index, term in enumerate(COST_TERMS[:-1]):
         expected = measured[:, index]
         assert expected.any() == (term != silent)
-        found = along(tape.gradient(scenarios, actions, {term: 1.0}), way)
-        assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
+        result = along(tape.gradient(scenarios, actions, {term: 1.0}), way)
+        assert result == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
     assert along(tape.gradient(scenarios, actions), way) == pytest.approx(measured.sum(axis=1), rel=1e-5)
 
 
@@ -156,7 +156,7 @@ def test_the_gradient_of_each_term_is_that_of_central_differences(settings, firs
 def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(settings):
     tape = tape_of(**settings)
     scenarios, actions = drawn(tape), actions_of(tape, 100)
-    found = tape.gradient(scenarios, actions)
+    result = tape.gradient(scenarios, actions)
     tape.start(scenarios)
     law = tape.law()
     assert np.array_equal(law[0, 0, :3], [getattr(tape.lanes.laws[0], k) for k in ("k_min", "k_nominal", "k_max")])
@@ -166,7 +166,7 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(set
         one[:, *place] = 1.0
         moved = functools.partial(lambda one, h: played(tape, scenarios, actions, law + h * one).sum(axis=1), one)
         expected = central(moved, 1e-6 if place[1] == 1 else 1e-5)
-        assert found.law[:, *place] == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
+        assert result.law[:, *place] == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
 
 
 def test_a_held_step_has_the_gradient_of_its_intervals():
@@ -179,12 +179,12 @@ def test_a_held_step_has_the_gradient_of_its_intervals():
         *drawn(held, 1_000_047)[:1],
     ]
     actions = actions_of(held, 24)
-    found, intervals = agrees(held, scenarios, actions), fine.gradient(scenarios, actions.repeat(5, axis=0))
+    result, intervals = agrees(held, scenarios, actions), fine.gradient(scenarios, actions.repeat(5, axis=0))
     ended = held.lanes.simulator.lane_values("step") / 4
     assert held.lanes.statuses().tolist()[2] == 0 and (ended % 5.0 > 0.0).tolist() == [True, True, False]
-    assert found.terms == pytest.approx(intervals.terms, rel=1e-12)
-    assert found.law == pytest.approx(intervals.law, rel=1e-9)
-    assert found.actions == pytest.approx(intervals.actions.reshape(24, 5, *actions.shape[1:]).sum(axis=1), rel=1e-9)
+    assert result.terms == pytest.approx(intervals.terms, rel=1e-12)
+    assert result.law == pytest.approx(intervals.law, rel=1e-9)
+    assert result.actions == pytest.approx(intervals.actions.reshape(24, 5, *actions.shape[1:]).sum(axis=1), rel=1e-9)
     # What a step shows is what its last interval does, and that of an episode's end.
     shown = np.random.default_rng(4).normal(size=(24, N_LANES, len(held.output_names)))
     parts = np.zeros((120, N_LANES, shown.shape[2]))
@@ -246,18 +246,18 @@ def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid(settings):
     tape = Tape(EnvSettings(version="v0", **settings), N_LANES, 1)
     scenarios = [given(2, sc.LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (600.0, -300.0, 20.0)]
     actions = actions_of(tape, 60, 0.2)
-    found = agrees(tape, scenarios, actions)
+    result = agrees(tape, scenarios, actions)
     played(tape, scenarios, actions)
     ended = tape.lanes.simulator.lane_values("step") / tape.lanes.simulator.plant.network.facts.n_substeps
     statuses = tape.lanes.statuses()
     assert (statuses[:2] != Status.RUNNING).all() and (ended[:2] < 50).all()
     assert statuses[2] == Status.RUNNING and (not settings or (ended[:2] % 1.0 > 0.0).all())
     # The cost of the failure is constant, and steps after it have no effect.
-    assert found.terms[0, COST_TERMS.index("failure")] > 0.0
+    assert result.terms[0, COST_TERMS.index("failure")] > 0.0
     failure = tape.gradient(scenarios, actions, {"failure": 1.0})
     assert not failure.actions.any() and not failure.law.any()
     last = math.ceil(ended[0]) - 1
-    assert found.actions[last, 0].any() and not found.actions[last + 1 :, 0].any()
+    assert result.actions[last, 0].any() and not result.actions[last + 1 :, 0].any()
 
 
 @pytest.mark.parametrize("settings", [{}, V1])
@@ -270,12 +270,12 @@ def test_observations_have_gradients(settings):
     def weighed(given: np.ndarray) -> np.ndarray:
         # As the simulator holds them, before they are rounded to 32 bits.
         tape.start(scenarios)
-        found = []
+        result = []
         for own in given:
             tape.step(own)
             scratch = tape.lanes.simulator.scratches[0]
-            found.append(scratch[tape.lanes.task_data.observed, :N_LANES].T)
-        return np.einsum("klo,klo->l", weights, np.array(found))
+            result.append(scratch[tape.lanes.task_data.observed, :N_LANES].T)
+        return np.einsum("klo,klo->l", weights, np.array(result))
 
     expected = central(lambda h: weighed(actions + h * way))
     carried, terms, total = np.zeros((N_LANES, tape.n_carried)), np.zeros((N_LANES, len(COST_TERMS))), np.zeros(N_LANES)
@@ -293,7 +293,7 @@ def test_a_plant_at_rest_has_the_slopes_of_the_law_whose_lower_part_goes_on_stra
     tape = tape_of()
     actions = np.zeros((40, N_LANES, 4))
     way = np.random.default_rng(3).normal(size=actions.shape) * (np.arange(40) < 10)[:, np.newaxis, np.newaxis]
-    found = along(tape.gradient(AT_REST, actions), way)
+    result = along(tape.gradient(AT_REST, actions), way)
     tape.start(AT_REST)
     straight = tape.law()
     straight[:, :, 2] = 2.0 * straight[:, :, 1] - straight[:, :, 0]
@@ -301,7 +301,7 @@ def test_a_plant_at_rest_has_the_slopes_of_the_law_whose_lower_part_goes_on_stra
     # The frequency never rises above its nominal value.
     assert np.array_equal(played(tape, AT_REST, actions, straight), base)
     expected = central(lambda h: played(tape, AT_REST, actions + h * way, straight), 1e-5).sum(axis=1)
-    assert found == pytest.approx(expected, rel=1e-5)
+    assert result == pytest.approx(expected, rel=1e-5)
     # With its corner, the law has another slope on each side.
     checked = check_by_differences(tape, AT_REST, actions, direction=way)[0]
     assert (np.abs(checked.above - checked.below) > 0.01 * np.abs(checked.central)).all()
@@ -312,8 +312,8 @@ def test_the_check_shows_a_wrong_gradient(monkeypatch):
     right = tape.gradient
 
     def wrong(*arguments):
-        found = right(*arguments)
-        return found._replace(actions=1.01 * found.actions)
+        result = right(*arguments)
+        return result._replace(actions=1.01 * result.actions)
 
     monkeypatch.setattr(tape, "gradient", wrong)
     checked = check_by_differences(tape, drawn(tape), actions_of(tape, 20))
@@ -353,5 +353,5 @@ def test_a_plant_with_a_hydro_governor_and_a_rotor_table_has_gradients_too():
     tape = Tape(given, 2, 1)
     scenarios = [tape.lanes.suite.scenario(seed, duration_s=10.0) for seed in (10_000, 10_001)]
     actions = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 2, tape.lanes.n_action))
-    for found in check_by_differences(tape, scenarios, actions):
-        assert found.error.max() <= 1e-5, found.name
+    for result in check_by_differences(tape, scenarios, actions):
+        assert result.error.max() <= 1e-5, result.name

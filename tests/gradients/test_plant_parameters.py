@@ -104,10 +104,10 @@ def test_a_scenarios_droop_is_the_droop_in_force_until_a_governor_is_lost():
         moved = [dataclasses.replace(scenario, governor_droop=droop) for scenario in base]
         ends.append(weighed(PLANT, moved, actions, weights))
     expected = (ends[0] - ends[1]) / 2e-6
-    found = column("machines.1.governor.droop_pu", base, weights)
+    result = column("machines.1.governor.droop_pu", base, weights)
     assert np.abs(expected[:2]).min() > 0.1
-    assert found == pytest.approx(expected, rel=1e-5, abs=1e-7)
-    assert found[2] == 0.0
+    assert result == pytest.approx(expected, rel=1e-5, abs=1e-7)
+    assert result[2] == 0.0
 
 
 def column(name: str, scenarios: list[Scenario], weights: np.ndarray) -> np.ndarray:

@@ -87,11 +87,11 @@ def test_a_policy_and_a_law_have_gradients_by_backward():
 def test_torch_and_numpy_agree_to_the_last_bit(settings):
     episodes = episodes_of(**settings)
     scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)
-    found = episodes.tape.gradient(scenarios, actions)
+    result = episodes.tape.gradient(scenarios, actions)
     episodes.start(scenarios)
     given = torch.tensor(actions, requires_grad=True)
     torch.stack([episodes.step(own)[1] for own in given]).sum().backward()
-    assert np.array_equal(given.grad.numpy(), found.actions)
+    assert np.array_equal(given.grad.numpy(), result.actions)
 
     played = episodes.tape.play(scenarios, actions)
     of_actions, _, _ = episodes.tape.back(outputs=np.ones_like(played.outputs))

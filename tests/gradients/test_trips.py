@@ -70,7 +70,7 @@ def trips(tape: Tape, scenarios: list[Scenario], actions: np.ndarray) -> list[in
 def measured(tape: Tape, case, way: np.ndarray, h: float) -> np.ndarray:
     """Every quantity at each lane's step of the trip, with the actions moved by h (n_quantities, n_lanes)."""
     (scenarios, actions, at), weights = case, weights_of(tape)
-    found = np.empty((len(QUANTITIES), N_LANES))
+    result = np.empty((len(QUANTITIES), N_LANES))
     tape.start(scenarios)
     for step, own in enumerate(actions):
         _, terms = tape.step(own + h * way[step])
@@ -80,8 +80,8 @@ def measured(tape: Tape, case, way: np.ndarray, h: float) -> np.ndarray:
         values = [*(terms[:, COST_TERMS.index(term)] for term in TERMS)]
         values += [*(outputs[:, tape.output_names.index(name)] for name in OUTPUTS), shown]
         for lane in np.flatnonzero(np.array(at) == step):
-            found[:, lane] = np.array(values)[:, lane]
-    return found
+            result[:, lane] = np.array(values)[:, lane]
+    return result
 
 
 def weights_of(tape: Tape) -> np.ndarray:

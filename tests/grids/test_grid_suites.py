@@ -194,8 +194,8 @@ def network(tmp_path_factory):
 def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp_path, capsys):
     output = tmp_path / "ne.json"
     assert main(["grid", "import", str(network), "--output", str(output), "--wind", "33", "35"]) == 0
-    said = capsys.readouterr().err
-    assert "all 10 are typical ones" in said and str(output) in said
+    message = capsys.readouterr().err
+    assert "all 10 are typical ones" in message and str(output) in message
     grid = get_grid(str(output))
     assert grid.case.frequency_hz == 60.0 and grid.case.base_mva == 100.0
     assert len(grid.case.branches) == 46 and grid.case.bus_numbers == get_grid("ieee39").case.bus_numbers
@@ -237,8 +237,8 @@ def test_a_network_without_a_power_flow_is_refused_in_a_line(tmp_path, capsys):
     network.load.p_mw *= 100.0
     path = tmp_path / "heavy.json"
     pandapower.to_json(network, str(path))
-    code, said = imported(path, capsys)
-    assert code == 2 and "pandapower finds no power flow" in said and not (tmp_path / "out.json").exists()
+    code, message = imported(path, capsys)
+    assert code == 2 and "pandapower finds no power flow" in message and not (tmp_path / "out.json").exists()
 
 
 def imported(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
@@ -257,15 +257,15 @@ def test_no_module_is_imported_because_a_file_names_it(nine, thing, tmp_path, ca
     monkeypatch.syspath_prepend(tmp_path)
     path = tmp_path / "network.json"
     path.write_text(json.dumps({**nine, "_object": {**nine["_object"], "thing": thing}}))
-    code, said = imported(path, capsys)
-    assert code == 2 and "network.json: " in said and ("only tables are read" in said or "is not JSON" in said)
+    code, message = imported(path, capsys)
+    assert code == 2 and "network.json: " in message and ("only tables are read" in message or "is not JSON" in message)
     assert "a_module_of_strangers" not in sys.modules
 
 
 def test_an_old_pandapower_is_refused(network, capsys, monkeypatch):
     monkeypatch.setattr(pandapower, "__version__", "3.5.3")
-    code, said = imported(network, capsys)
-    assert code == 2 and "pandapower 3.5.3 runs code that a file names; 3.5.4 or later is needed" in said
+    code, message = imported(network, capsys)
+    assert code == 2 and "pandapower 3.5.3 runs code that a file names; 3.5.4 or later is needed" in message
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
@@ -274,5 +274,5 @@ def test_a_changed_network_is_imported_or_refused_in_a_line(nine, tmp_path, data
     path = tmp_path / "network.json"
     # The mark of a network stands at its beginning.
     write(path, json.dumps({**nine, "_object": data.draw(changed(nine["_object"]))}))
-    code, said = imported(path, capsys)
-    assert code == 0 or (code == 2 and said.startswith("wtg-gym: error: ") and "network.json" in said)
+    code, message = imported(path, capsys)
+    assert code == 0 or (code == 2 and message.startswith("wtg-gym: error: ") and "network.json" in message)

@@ -68,17 +68,17 @@ def started(settings: Plant, what: Scenario, law: str = LAW, duration_s: float =
 
 def recorded(simulator: Simulator, seconds: float, *names: str, act=None) -> dict[str, np.ndarray]:
     """Numbers of the groups at the end of every control interval, until the run ends, and the frequency "coi"."""
-    found = {name: [] for name in ("coi", *names)}
+    result = {name: [] for name in ("coi", *names)}
     for interval in range(round(seconds / simulator.settings.control_dt)):
         if act is not None:
             simulator.blocks[0, simulator.layout.wtg("k_offset"), 0] = act(interval)
         simulator.advance()
-        found["coi"].append(simulator.lane_values("coi")[0])
+        result["coi"].append(simulator.lane_values("coi")[0])
         for name in names:
-            found[name].append(simulator.wtg_values(name)[0])
+            result[name].append(simulator.wtg_values(name)[0])
         if simulator.lane_values("active")[0] < 0.5:
             break
-    return {name: np.array(values) for name, values in found.items()}
+    return {name: np.array(values) for name, values in result.items()}
 
 
 def phasors(simulator: Simulator, kind: Kind, part: str) -> np.ndarray:

@@ -108,9 +108,9 @@ def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trip
 def test_limits_out_of_reach_leave_the_papers_plant_as_it_is(suite, seed, strategy, status):
     what = get_suite(suite).scenario(seed)
     paper, unlimited = (started(plant, what, strategy, what.duration_s) for plant in (Plant(pitch=NO_PITCH), UNLIMITED))
-    expected, found = (recorded(run, what.duration_s, "rotor_speed", "power", "emf") for run in (paper, unlimited))
+    expected, result = (recorded(run, what.duration_s, "rotor_speed", "power", "emf") for run in (paper, unlimited))
     assert paper.lane_values("status")[0] == unlimited.lane_values("status")[0] == status
-    assert all(found[name] == pytest.approx(values, rel=0.0, abs=1e-9) for name, values in expected.items())
+    assert all(result[name] == pytest.approx(values, rel=0.0, abs=1e-9) for name, values in expected.items())
     assert unlimited.lane_values("coi_min")[0] == pytest.approx(paper.lane_values("coi_min")[0], abs=1e-11)
 
 
@@ -122,16 +122,16 @@ def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(mvar, abo
     # A capacitor far too large, where no machine and hardly any group controls its voltage.
     capacitor = LoadStep(time_s=1.0, bus=2, power_mw=0.0, reactive_mvar=mvar)
     case, slow = grid.get_grid("ieee14").case.classical(), VoltageControlParameters(integral_gain=0.01)
-    found = extended.recorded(
+    result = extended.recorded(
         extended.started(extended.plant(control_dt=0.1, voltage=slow, case=case), extended.scenario(capacitor)),
         30.0,
         *("terminal_voltage", "connected", "largest_voltage", "trip_cause"),
     )
-    voltage, there = found["terminal_voltage"][:, 0], found["connected"][:, 0] > 0.5
+    voltage, there = result["terminal_voltage"][:, 0], result["connected"][:, 0] > 0.5
     assert 0.1 * there.sum() - 1.0 == pytest.approx(stays_s)
-    assert (found["trip_cause"][:, 0] == TripCause.OVER_VOLTAGE * ~there).all()
+    assert (result["trip_cause"][:, 0] == TripCause.OVER_VOLTAGE * ~there).all()
     assert above_pu < voltage[there][10:].min() and voltage[there].max() < above_pu + 0.05
-    assert found["largest_voltage"][-1, 0] == pytest.approx(voltage.max(), rel=1e-3)
+    assert result["largest_voltage"][-1, 0] == pytest.approx(voltage.max(), rel=1e-3)
 
 
 @pytest.mark.parametrize("table", [False, True])
@@ -144,18 +144,18 @@ def test_limits_are_held_and_left_without_wind_up(table, disturbance):
     simulator = extended.started(settings, extended.scenario(*events, duration_s=180.0), duration_s=180.0)
     start = simulator.state()
     names = ("current", "limiting_reactance", "over_power", "under_power", "internal_voltage", "power")
-    found = extended.recorded(simulator, 180.0, *names)
+    result = extended.recorded(simulator, 180.0, *names)
     assert simulator.lane_values("status")[0] == Status.RUNNING
-    assert (found["limiting_reactance"] > 0.0).any()
-    assert found["current"].max() <= extended.CURRENT_MAX * (1.0 + 1e-9)
+    assert (result["limiting_reactance"] > 0.0).any()
+    assert result["current"].max() <= extended.CURRENT_MAX * (1.0 + 1e-9)
     control = settings.voltage_control
-    assert found["internal_voltage"].max() <= control.internal_voltage_max_pu
-    assert found["internal_voltage"].min() >= control.internal_voltage_min_pu
+    assert result["internal_voltage"].max() <= control.internal_voltage_max_pu
+    assert result["internal_voltage"].min() >= control.internal_voltage_min_pu
     for name in ("over_power", "under_power"):
-        assert np.abs(found[name]).max() < 0.03
-        assert (found[name][-1] == 0.0).all()
+        assert np.abs(result[name]).max() < 0.03
+        assert (result[name][-1] == 0.0).all()
     # Left at once: no sample later than 0.1 s after the disturbance is limited.
-    last = 0.025 * (np.flatnonzero(found["limiting_reactance"].max(axis=1) > 0.0).max() + 1)
+    last = 0.025 * (np.flatnonzero(result["limiting_reactance"].max(axis=1) > 0.0).max() + 1)
     assert last < events[-1].time_s + 0.1
     keep = [i for i, name in enumerate(simulator.layout.state_names) if "energy" not in name and "angle" not in name]
     assert np.abs(simulator.state() - start)[keep].max() < 5e-5
@@ -166,12 +166,12 @@ def test_the_reactive_limit_takes_over_and_gives_back():
         extended.plant(control_dt=0.025), extended.scenario(*extended.pulse(4, reactive_mvar=60.0, until_s=16.0))
     )
     before = simulator.wtg_values("reactive")[0]
-    found = extended.recorded(simulator, 60.0, "reactive", "terminal_voltage")["reactive"]
+    result = extended.recorded(simulator, 60.0, "reactive", "terminal_voltage")["reactive"]
     assert before == pytest.approx([0.33, 0.33], abs=1e-9)
-    assert found.max() > 0.36
-    held = found[40 + 20 : 600]
+    assert result.max() > 0.36
+    held = result[40 + 20 : 600]
     assert held.max() < 0.3305
-    assert found[-1] == pytest.approx(before, abs=1e-5)
+    assert result[-1] == pytest.approx(before, abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -54,8 +54,8 @@ def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest()
     # In the place of the last one: as many machines as usual, whose code is compiled already.
     case = dataclasses.replace(case, machines=(*machines[:-1], extended.classical(bus=3, dispatch_mw=20.0)))
     assert len({machine.bus for machine in case.machines}) < len(case.machines)
-    found = extended.started(Plant(case=case), extended.scenario(wind=[[9.0], [9.0]]), "coordinated-linear")
-    assert extended.largest_rate(found) <= LIMIT
+    result = extended.started(Plant(case=case), extended.scenario(wind=[[9.0], [9.0]]), "coordinated-linear")
+    assert extended.largest_rate(result) <= LIMIT
 
 
 @pytest.mark.parametrize("table", [False, True])
@@ -81,14 +81,14 @@ def test_with_any_options_no_state_moves_at_the_start_which_is_stable(table):
 
 @pytest.mark.parametrize(("level", "sign"), [(1.2, 1.0), (0.5, -1.0)])
 def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_suffice(level, sign):
-    found = {}
+    result = {}
     for limit in (1.0, 0.04, 0.0):
         control = parameters.VoltageControlParameters(reactive_max_pu=limit, internal_voltage_max_pu=1.6)
         simulator = extended.started(extended.plant(limits=False, voltage=control), extended.scenario(load_level=level))
         assert extended.largest_rate(simulator) <= 1e-8
         held = np.abs(simulator.bus_voltages()[1]) - 1.045
-        found[limit] = sign * simulator.wtg_values("reactive")[0], sign * held
-    (ample, held), *scarce = found.values()
+        result[limit] = sign * simulator.wtg_values("reactive")[0], sign * held
+    (ample, held), *scarce = result.values()
     assert (ample > 0.04).all() and (ample < 1.0).all() and held == pytest.approx(0.0, abs=1e-12)
     for limit, (reactive, deviation) in zip((0.04, 0.0), scarce, strict=True):
         assert reactive == pytest.approx(limit, abs=1e-11)

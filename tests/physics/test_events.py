@@ -87,12 +87,12 @@ def test_a_load_ramp_is_a_staircase_whose_steps_are_the_means_of_the_intervals_a
     shares = {2.1: 0.1, 2.2: 0.3, 2.3: 0.5, 2.4: 0.7, 2.5: 0.825, 2.525: 0.925, 2.6: 1.0}
     rises = zip(shares, np.diff([0.0, *shares.values()]), strict=True)
     steps = [sc.LoadStep(time_s=time_s, bus=9, power_mw=-15.0 * rise) for time_s, rise in rises]
-    found = []
+    result = []
     for events in ((cut, ramp), (cut, *steps)):
         simulator.start(0, scenario(*events), LAWS)
         recorded(simulator, 3.0)
-        found.append(simulator.state())
-    assert found[0] == pytest.approx(found[1], abs=1e-12)
+        result.append(simulator.state())
+    assert result[0] == pytest.approx(result[1], abs=1e-12)
 
 
 def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator):
@@ -153,10 +153,10 @@ def test_a_reactance_step_gives_the_network_with_that_impedance(ends, factor):
 
 def test_a_record_shows_the_frequency_of_the_voltage():
     what = scenario(sc.LoadStep(time_s=0.5, bus=2, power_mw=150.0), duration_s=3.0)
-    found, simulator = simulate(what, LAW, plant()), started(plant(), what)
+    result, simulator = simulate(what, LAW, plant()), started(plant(), what)
     live = recorded(simulator, 3.0, "speed", "shift")
     assert np.abs(live["shift"]).max() > 1e-4
-    assert (found.wtg_frequency_hz[1:] == 50.0 * (live["speed"] + live["shift"])).all()
+    assert (result.wtg_frequency_hz[1:] == 50.0 * (live["speed"] + live["shift"])).all()
 
 
 @pytest.mark.parametrize(("settings", "error"), [(Plant(), 1e-9), (plant(), 0.01)], ids=["paper", "extended"])
@@ -206,7 +206,7 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
     assert extended.largest_rate(simulator) < 1e-10
     row = simulator.layout.rows_of(SOURCES, "speed")[0]
     machines, groups = simulator.plant.machines["two_h"], simulator.plant.share * 10.0
-    found = []
+    result = []
     for _ in range(2000):
         simulator.advance()
         speed = simulator.wtg_values("speed")[0] + simulator.wtg_values("shift")[0]
@@ -214,8 +214,8 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
         weights = np.concatenate([machines, groups])
         centre = simulator.lane_values("coi")[0]
         assert centre - 1.0 == pytest.approx(weights @ (speed - 1.0) / weights.sum(), abs=1e-14)
-        found.append([simulator.blocks[0, row, 0], *speed])
-    imposed, units = np.array(found)[:, 0], np.array(found)[:, 1:]
+        result.append([simulator.blocks[0, row, 0], *speed])
+    imposed, units = np.array(result)[:, 0], np.array(result)[:, 1:]
     times = 0.1 * np.arange(1, 2001)
     assert imposed == pytest.approx(1.0 - 0.001 * np.clip(times - 1.0, 0.0, 6.0), abs=1e-13)
     rate = np.diff(units[40:69], axis=0) / 0.1
@@ -239,8 +239,8 @@ def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz, p
 @pytest.mark.parametrize("at", [0.0, 100.0, 179.5, -135.0])
 def test_the_angle_between_two_voltages_is_exact_near_half_a_turn_too(at, turn):
     first, second = (size * np.exp(1j * math.radians(a)) for size, a in ((0.9, at), (1.1, at + turn)))
-    found = turn_between(Phasor(first.real, first.imag), Phasor(second.real, second.imag))
-    assert found == pytest.approx(math.radians(turn), abs=2e-10)
+    result = turn_between(Phasor(first.real, first.imag), Phasor(second.real, second.imag))
+    assert result == pytest.approx(math.radians(turn), abs=2e-10)
 
 
 def test_a_local_frequency_is_the_filtered_turn_of_the_voltage():

@@ -164,12 +164,12 @@ def test_without_its_last_machine_a_grid_of_converters_runs_on():
     simulator = started(settings, scenario(*outages, wind=[[11.0], [11.0]]))
     recorded(simulator, 2.0)
     held = simulator.machine_values("speed")[0, 0]
-    found = recorded(simulator, 20.0, "speed", "power")
+    result = recorded(simulator, 20.0, "speed", "power")
     assert simulator.lane_values("status")[0] == Status.RUNNING
     assert (simulator.machine_values("connected")[0] == 0.0).all()
     # The frame of all angles turns on with the speed that the first machine had last.
     assert simulator.machine_values("speed")[0, 0] == held
-    assert np.ptp(found["speed"][-1]) < 1e-6
+    assert np.ptp(result["speed"][-1]) < 1e-6
     angles = simulator.lane_values("angle")[0]
     simulator.advance()
     assert simulator.lane_values("angle")[0] - angles == pytest.approx(
@@ -190,9 +190,9 @@ def test_wind_turbines_alone_share_the_load_by_one_factor_on_k_or_too_little_win
     assert power == pytest.approx(simulator.wtg_values("k_nominal")[0] * rotor**3, abs=1e-11)
     voltage = simulator.bus_voltages()
     assert np.abs(voltage[1]) == pytest.approx(1.045, abs=1e-10)
-    found = recorded(simulator, 30.0, "speed")
+    result = recorded(simulator, 30.0, "speed")
     assert simulator.lane_values("status")[0] == Status.RUNNING
-    assert 0.99 < found["coi"][-1] < 0.9999 and np.ptp(found["speed"][-1]) < 1e-6
+    assert 0.99 < result["coi"][-1] < 0.9999 and np.ptp(result["speed"][-1]) < 1e-6
     with pytest.raises(ValueError, match=r"^[^\n]*WTG groups alone cannot meet the load at a level of 1;[^\n]*$"):
         started(settings, scenario(wind=[[7.0], [6.0]], load_noise_bus=2))
 

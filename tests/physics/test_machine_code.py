@@ -69,8 +69,8 @@ def run(program: str, folder: Path, **environment: str) -> subprocess.Popen[str]
 
 
 def outcome(process: subprocess.Popen[str]) -> list[str]:
-    out, said = process.communicate(timeout=300)
-    assert process.returncode == 0 and "Traceback" not in said, said
+    out, message = process.communicate(timeout=300)
+    assert process.returncode == 0 and "Traceback" not in message, message
     return out.split()
 
 

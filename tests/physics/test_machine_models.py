@@ -104,16 +104,16 @@ def response(rates, start, at: float) -> np.ndarray:
     x, n, step = np.array(start), len(start), 1e-4
 
     def both(state: np.ndarray, given: float) -> np.ndarray:
-        found, output = rates(type(start)(*state), given)
-        return np.array([*found, output])
+        result, output = rates(type(start)(*state), given)
+        return np.array([*result, output])
 
     a = np.array([(both(x + d, at) - both(x - d, at)) / (2.0 * step) for d in step * np.eye(n)]).T
     b = (both(x, at + step) - both(x, at - step)) / (2.0 * step)
     # States of a block that is none stand still and have no effect.
     moves = a[:n].any(axis=1) | (b[:n] != 0.0)
     a, b = a[np.ix_([*moves, True], moves)], b[[*moves, True]]
-    found = [a[-1] @ np.linalg.solve(s * np.eye(moves.sum()) - a[:-1], b[:-1]) + b[-1] for s in S]
-    return np.array(found)
+    result = [a[-1] @ np.linalg.solve(s * np.eye(moves.sum()) - a[:-1], b[:-1]) + b[-1] for s in S]
+    return np.array(result)
 
 
 def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between():
@@ -128,13 +128,13 @@ def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between(
 def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes):
     p = dataclasses.replace(FILTER, **{"gain": 7.0, "lead_time_2_s": 0.3, **changes})
     c = models.IEEEST.constants(0, p)
-    found = response(lambda s, u: models.ieeest_rates(s, u, 1.0, c), models.IeeestState(*(0.0,) * 7), 0.0)
+    result = response(lambda s, u: models.ieeest_rates(s, u, 1.0, c), models.IeeestState(*(0.0,) * 7), 0.0)
     wanted = (1.0 + p.filter_a5_s * S + p.filter_a6_s2 * S**2) / (1.0 + p.filter_a1_s * S + p.filter_a2_s2 * S**2)
     wanted = wanted / (1.0 + p.filter_a3_s * S + p.filter_a4_s2 * S**2)
     wanted = wanted * (1.0 + S * p.lead_time_1_s) / (1.0 + S * p.lag_time_1_s)
     wanted = wanted * (1.0 + S * p.lead_time_2_s) / (1.0 + S * p.lag_time_2_s)
     washout = S * p.washout_gain_s if p.washout_gain_s else 1.0
-    assert found == pytest.approx(wanted * p.gain * washout / (1.0 + S * p.washout_time_s), rel=1e-6)
+    assert result == pytest.approx(wanted * p.gain * washout / (1.0 + S * p.washout_time_s), rel=1e-6)
 
 
 def test_ieeest_gives_no_signal_beyond_its_voltages():
@@ -266,8 +266,8 @@ def test_every_model_has_gradients(machines):
     given = {"wind": np.full((1, 1), 9.0), "duration_s": 10.0, "load_noise_bus": 3}
     scenarios = [scenario(*events, **given) for events in (steps, steps[::-1][1:])]
     actions = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 2, tape.lanes.n_action))
-    for found in check_by_differences(tape, scenarios, actions)[:1]:
-        assert found.error.max() <= 1e-5, found.name
+    for result in check_by_differences(tape, scenarios, actions)[:1]:
+        assert result.error.max() <= 1e-5, result.name
 
 
 def test_a_grid_file_names_every_model(tmp_path):
@@ -310,11 +310,11 @@ def reference_and_speed(*events: Event, seconds: float, governor: GovernorParame
     times = {"secondary_time_s": SECONDARY_S, "control_dt": DT, "simulation_dt": DT}
     simulator = Simulator(Plant(case=with_machine(governor=governor), groups=(), **times), duration_s=seconds)
     simulator.start(0, scenario(*events, wind=np.zeros((0, 1)), duration_s=seconds), ())
-    found = []
+    result = []
     for _ in range(round(seconds / DT) + 1):
-        found.append([simulator.machine_values(name)[0, 0] for name in ("gate_reference", "speed")])
+        result.append([simulator.machine_values(name)[0, 0] for name in ("gate_reference", "speed")])
         simulator.advance()
-    return np.array(found).T
+    return np.array(result).T
 
 
 def test_the_reference_is_the_integral_of_the_deviation_over_droop_and_time():

@@ -47,8 +47,8 @@ def drawn(request):
     suite, scenarios, real = dataclasses.replace(get_suite(request.param)), [], Suite.scenarios
 
     def kept(*arguments):
-        scenarios.extend(found := real(*arguments))
-        return found
+        scenarios.extend(result := real(*arguments))
+        return result
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Suite, "scenarios", kept)
@@ -56,8 +56,8 @@ def drawn(request):
 
 
 def test_hash_is_the_frozen_one(drawn):
-    suite, found, _ = drawn
-    assert found == FROZEN_HASHES[suite.name], "a changed suite is a new version of the benchmark"
+    suite, result, _ = drawn
+    assert result == FROZEN_HASHES[suite.name], "a changed suite is a new version of the benchmark"
 
 
 def test_scenarios_of_a_drawn_suite_of_v1_have_the_margin_of_their_stratum_in_any_order_and_start(drawn):

@@ -246,8 +246,8 @@ def test_nobody_joins_anothers_row(toml, said, tmp_path):
 def test_seeds_of_one_entry_are_accepted_and_a_file_counts_once_whatever_it_is_called(tmp_path):
     first, second = report(tmp_path / "a"), report(tmp_path / "b", toml=seed(1))
     third = report(tmp_path / "c", toml=YOURS)
-    for found in (conflicts([first, second]), conflicts([first, third]), conflicts([third], [first])):
-        assert "the same policy file is given twice" in found[0].reason
+    for result in (conflicts([first, second]), conflicts([first, third]), conflicts([third], [first])):
+        assert "the same policy file is given twice" in result[0].reason
     assert conflicts([first, report(tmp_path / "d", models.other(), seed(1))]) == []
     assert conflicts([first], [report(tmp_path / "e", models.other(), YOURS)]) == []
 
@@ -255,8 +255,8 @@ def test_seeds_of_one_entry_are_accepted_and_a_file_counts_once_whatever_it_is_c
 @pytest.mark.parametrize(("name", "toml", "said"), ALIKE)
 def test_folder_is_not_called_as_another_folder_or_entry(name, toml, said, tmp_path):
     first, second = report(tmp_path / "a" / "one"), report(tmp_path / "b" / name, models.other(), toml)
-    for found in (conflicts([first, second]), conflicts([second], [first])):
-        assert said in found[0].reason
+    for result in (conflicts([first, second]), conflicts([second], [first])):
+        assert said in result[0].reason
 
 
 def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path):
@@ -283,8 +283,8 @@ def refused(path: Path) -> tuple[str, str]:
 def test_neither_folder_nor_entry_has_a_name_by_which_something_is_found(check, name, tmp_path):
     of_folder = check == "folder"
     path = folder(tmp_path / name) if of_folder else folder(tmp_path / "a", toml=TOML.replace("Mine", name))
-    found, reason = refused(path)
-    assert found == check and reason.startswith("the folder's name must" if of_folder else "name must not be")
+    result, reason = refused(path)
+    assert result == check and reason.startswith("the folder's name must" if of_folder else "name must not be")
 
 
 def test_everything_that_is_found_by_name_is_refused_as_a_name(tmp_path):

@@ -236,8 +236,8 @@ def test_there_is_a_list_for_every_place_where_systems_may_join():
         elif isinstance(entry, (When, Repeat)):
             yield from places(entry.entries)
 
-    found = places((*(each for each in vars(step).values() if isinstance(each, tuple)), V0.charge, V1.observe))
-    assert set(found) == {*Joining, *ControlJoining}
+    result = places((*(each for each in vars(step).values() if isinstance(each, tuple)), V0.charge, V1.observe))
+    assert set(result) == {*Joining, *ControlJoining}
 
 
 N_UNITS = 3
