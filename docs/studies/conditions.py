@@ -15,7 +15,7 @@ from wtg_gym.scenarios import get_suite
 
 SUITE = "standard-v1"
 LAWS = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law")
-POLICIES = ("dagger-v1-0", "dagger-v1-2", "dagger-v1-3", "ppo-v1-0", "ppo-v1-1", "ppo-v1-2")
+POLICIES = (*(f"dagger-v1-{seed}" for seed in range(5)), *(f"ppo-v1-{seed}" for seed in range(3)))
 #: A network that sees the exact state, and scenarios that a planner with it plays: three seconds of a core each.
 EXACT, N_PLANNED = "exact-state-v1-0", 90
 Row = tuple[str, str, str, str]
