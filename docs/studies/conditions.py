@@ -73,7 +73,7 @@ def sharp(_: Results) -> Row:
     """Measure the intervals of networks of several seeds on the test scenarios, which entries are ranked by."""
     widths = {row.name: 0.5 * (row.score.high - row.score.low) for row in tested().ranking if row.n_runs > 1}
     measured = ", ".join(f"{name} ± {width:.1f}" for name, width in widths.items())
-    demand = "on test scenarios intervals of ± 1 for networks of three seeds or more"
+    demand = "on test scenarios intervals of ± 1 for networks of three seeds"
     return "sharp", demand, measured, verdict(max(widths.values()) <= 1.0)
 
 
