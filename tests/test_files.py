@@ -363,5 +363,5 @@ def test_a_command_works_with_a_changed_file_or_ends_in_a_line(tmp_path, kind, d
     monkeypatch.chdir(tmp_path)
     name, original, text_of, _ = KINDS[kind]
     write(tmp_path / name, text_of(data.draw(changed(original))))
-    code, message = main(COMMANDS[kind]), capsys.readouterr()
-    assert code in (0, 1) or (code, message.out, message.err.count("\n")) == (2, "", 1)
+    code, printed = main(COMMANDS[kind]), capsys.readouterr()
+    assert code in (0, 1) or (code, printed.out, printed.err.count("\n")) == (2, "", 1)

@@ -42,6 +42,11 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
 
 
+def test_what_is_played_shorter_is_printed():
+    pages = "".join((ROOT / page).read_text(encoding="utf-8") for page in PAGES)
+    assert all(printed in pages for printed in SHORTER)
+
+
 def files(page: str) -> dict[str, str]:
     """Return the files that a page asks its reader to save, by name: blocks with a title."""
     text = (ROOT / page).read_text(encoding="utf-8")
@@ -87,7 +92,7 @@ def test_commands_run_after_a_plain_install_in_an_empty_folder(plain, tmp_path):
 
 
 @pytest.mark.parametrize("page", ["README.md", *(page for page in DOCS if blocks(page, "python"))])
-def test_every_other_program_runs_as_printed(page, tmp_path):
+def test_every_other_program_runs(page, tmp_path):
     for name, content in files(page).items():
         (tmp_path / name).write_text(content, encoding="utf-8")
     programs_of_page = blocks(page, "python")[1 if page == "README.md" else 0 :]

@@ -162,22 +162,26 @@ def characteristic(law):
         over_speed.plot(speeds, captured, color=colour, label=f"{group}: {wind:g} m/s")
         states = [equilibria(frequency, law, wind) for frequency in frequencies]
         named = named_points(law, wind)
-        for axes, quantity in zip(over_frequency, ("power_pu", "rotor_speed_pu"), strict=True):
-            for dashes, at in (("-", -1), ("--", -2)):
-                values = [getattr(each[at], quantity) if len(each) >= -at else math.nan for each in states]
-                axes.plot(NOMINAL_HZ * frequencies, values, color=colour, linestyle=dashes)
+        for dashes, at in (("-", -1), ("--", -2)):
+            # Both branches meet in B where it is above ω_min.
+            branch = [named["B"]] * (named["B"].frequency_pu > CORNERS[0])
+            branch += [points[at] for points in states if len(points) >= -at]
+            hz = [NOMINAL_HZ * point.frequency_pu for point in branch]
+            for axes, quantity in zip(over_frequency, ("power_pu", "rotor_speed_pu"), strict=True):
+                axes.plot(hz, [getattr(point, quantity) for point in branch], color=colour, linestyle=dashes)
         for name, point in named.items():
             hz, text = NOMINAL_HZ * point.frequency_pu, {"text": f"{name}$_{group}$", "textcoords": "offset points"}
+            text["xytext"] = {"B": (-9.0, 4.0), "C": (2.0, -10.0)}.get(name, (2.0, 4.0))
             places = (point.rotor_speed_pu, point.power_pu), (hz, point.power_pu), (hz, point.rotor_speed_pu)
             for axes, place in zip(figure.axes, places, strict=True):
                 axes.plot(*place, "o", color=colour, markersize=4.0)
-                axes.annotate(xy=place, xytext=(2.0, 4.0), color=colour, fontsize=style.SMALL_PT, **text)
+                axes.annotate(xy=place, color=colour, fontsize=style.SMALL_PT, **text)
     over_speed.set(xlabel="rotor speed [p.u.]", ylim=(0.0, 1.4))
     titles = ("captured power [p.u.]", "power [p.u.]", "rotor speed [p.u.]")
     for letter, axes, title in zip("abc", figure.axes, titles, strict=True):
         style.letter_panel(axes, letter, title)
     for axes in over_frequency:
-        axes.set(xlabel="frequency [Hz]", ylim=(0.0, None))
+        axes.set(xlabel="frequency [Hz]", xlim=(49.56, 50.44), ylim=(0.0, None))
     figure.legend(loc="outside lower center", ncols=2)
     return figure
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from agents import dagger
 from agents import planner as planning
 from agents.dagger import DaggerLearner, Hyperparameters, Plans, main, observe
 from agents.gradient import GradientPolicy
@@ -153,7 +152,8 @@ OPTIONS += ["--horizon-s", "60", "--interval-s", "60", "--iterations", "1"]
 
 def test_run_repeats_also_after_an_interruption(tmp_path):
     def interrupt(patch, when):
-        patch.setattr(dagger, "observe", interrupted(observe, when))
+        # Its plans are made by then, and numbers drawn.
+        patch.setattr(DaggerLearner, "fit", interrupted(DaggerLearner.fit, when))
 
     runs = run_and_interrupted_run(main, OPTIONS, interrupt, tmp_path)
     saved = [folders(run.folder / "checkpoints")[0] / "state.pt" for run in runs]

@@ -13,9 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 def error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """The one line of an error, once the exit code and the silence of stdout are checked."""
     assert main(arguments) == 2
-    message = capsys.readouterr()
-    assert message.out == ""
-    lines = message.err.splitlines()
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    lines = printed.err.splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("wtg-gym: error: ")
     return lines[0]

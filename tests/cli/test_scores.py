@@ -81,9 +81,9 @@ def test_leaderboard_ranks_writes_and_updates_the_readme(capsys, tmp_path):
     results = tmp_path / "results"
     arguments = [*_PAPER, "--results", str(results), "--readme", str(readme)]
     assert main(arguments) == 0
-    message = capsys.readouterr()
-    assert f"{readme}: updated" in message.err
-    rows = [line.split() for line in message.out.splitlines() if line.split()[1:2] and line.split()[0] in "123"]
+    printed = capsys.readouterr()
+    assert f"{readme}: updated" in printed.err
+    rows = [line.split() for line in printed.out.splitlines() if line.split()[1:2] and line.split()[0] in "123"]
     assert rows[0][:2] == ["1", "coordinated-piecewise"]
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
@@ -150,10 +150,10 @@ def _recompute(path: Path, *options: str) -> int:
 
 def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named(folder, capsys):
     assert _recompute(folder / "standard-test.json") == 0
-    message = capsys.readouterr()
-    assert message.out.startswith("identical: ")
-    assert "not the benchmark's own: 4 scenarios, those of the benchmark are 200" in message.err
-    assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in message.err
+    printed = capsys.readouterr()
+    assert printed.out.startswith("identical: ")
+    assert "not the benchmark's own: 4 scenarios, those of the benchmark are 200" in printed.err
+    assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in printed.err
     assert len(departures(Results.read(folder / "standard-test.json"))) == 2
 
 

@@ -181,8 +181,8 @@ def test_terminal_gets_a_progress_bar(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
     assert main(["simulate", "--duration", "6"]) == 0
-    message = capsys.readouterr()
-    assert "━" in message.err and "coordinated-piecewise" in message.out and "━" not in message.out
+    printed = capsys.readouterr()
+    assert "━" in printed.err and "coordinated-piecewise" in printed.out and "━" not in printed.out
 
 
 def test_help_of_every_command_teaches_by_examples_that_it_takes(capsys, monkeypatch, tmp_path):
@@ -223,10 +223,10 @@ def test_lines_tables_notes_and_json_show_escapes(capsys):
     say(NASTY)
     note(NASTY)
     print_table((NASTY, "b"), [(NASTY, "1")])
-    message = capsys.readouterr()
-    assert _is_harmless(message.out) and _is_harmless(message.err)
-    assert (message.out.count("\n"), message.err.count("\n")) == (4, 1)
-    assert r"a\x1b[31mred" in message.err and r"\u202eabc" in message.out
+    printed = capsys.readouterr()
+    assert _is_harmless(printed.out) and _is_harmless(printed.err)
+    assert (printed.out.count("\n"), printed.err.count("\n")) == (4, 1)
+    assert r"a\x1b[31mred" in printed.err and r"\u202eabc" in printed.out
     data = {NASTY: [NASTY, "grün 🜁", {"x": 1.5}]}
     print_json(data)
     out = capsys.readouterr().out

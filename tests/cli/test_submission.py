@@ -47,14 +47,14 @@ def test_score_is_that_of_evaluate(capsys, tmp_path):
 def test_score_ranks_what_is_not_refused(capsys, tmp_path):
     good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after("action = Tile(linear)"), OTHER)
     assert main(["submission", "score", str(good), str(bad), *_FEW, "--results", str(tmp_path / "r")]) == 1
-    message = capsys.readouterr()
-    assert "Mine" in message.out and "Other" not in message.out
-    assert "b: loading: onnxruntime cannot load the policy" in message.err
+    printed = capsys.readouterr()
+    assert "Mine" in printed.out and "Other" not in printed.out
+    assert "b: loading: onnxruntime cannot load the policy" in printed.err
     assert {e["name"] for e in Results.read(tmp_path / "r" / "standard-test.json").entries} == {"Mine", *V0.anchors}
     twin = folder(tmp_path / "c")
     assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
-    message = capsys.readouterr()
-    assert message.out == "" and "Mine (training seed 0) is given twice" in message.err
+    printed = capsys.readouterr()
+    assert printed.out == "" and "Mine (training seed 0) is given twice" in printed.err
     assert not list((tmp_path / "s").glob("*.*"))
 
 

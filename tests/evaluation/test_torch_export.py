@@ -1,5 +1,6 @@
 """Facts about policies as ONNX files: what they answer, and how any policy of torch becomes one."""
 
+import os
 from pathlib import Path
 
 import gymnasium as gym
@@ -169,6 +170,13 @@ def test_memory_goes_on_and_is_cleared_where_an_episode_starts():
     second, state = policy.predict(ones, state)
     third, _ = policy.predict(ones, state, np.array([True, False]))
     assert [values[:, 0].tolist() for values in (first, second, third)] == [[1, 1], [2, 2], [1, 3]]
+
+
+def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for name, reason in (("none", ""), ("pipe", "it is no plain file")):
+        with pytest.raises(ValueError, match=f"cannot read the policy .*{name}.*{reason}"):
+            OnnxPolicy(tmp_path / name)
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,23 @@ bits in every lane, and as close to libm as the tests say.
 """
 
 import ctypes
+import ctypes.util
 import math
 import sys
+from typing import Any
 
-# Python's own is of 3.13 and raises where C gives infinity or NaN.
-_fused_multiply_add = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None).fma
-_fused_multiply_add.argtypes, _fused_multiply_add.restype = [ctypes.c_double] * 3, ctypes.c_double
+
+def _fma_of_c() -> Any:
+    # Python's own is of 3.13, and raises where C gives infinity or NaN. PyDLL keeps the interpreter's lock: whoever
+    # releases it for one multiplication waits for other threads each time.
+    library = ctypes.PyDLL("ucrtbase" if sys.platform == "win32" else None)
+    if not hasattr(library, "fma"):  # in a program that embeds Python
+        library = ctypes.PyDLL(ctypes.util.find_library("m"))
+    library.fma.argtypes, library.fma.restype = [ctypes.c_double] * 3, ctypes.c_double
+    return library.fma
+
+
+_FMA = _fma_of_c()
 
 
 def fma(a: float, b: float, c: float) -> float:
@@ -18,7 +29,7 @@ def fma(a: float, b: float, c: float) -> float:
 
     Left to itself the compiler might fuse in a batch and not in a single environment, or on one processor alone.
     """
-    result: float = _fused_multiply_add(a, b, c)
+    result: float = _FMA(a, b, c)
     return result
 
 
