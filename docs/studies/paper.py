@@ -181,7 +181,7 @@ def characteristic(law):
     for letter, axes, title in zip("abc", figure.axes, titles, strict=True):
         style.letter_panel(axes, letter, title)
     for axes in over_frequency:
-        axes.set(xlabel="frequency [Hz]", xlim=(49.56, 50.44), ylim=(0.0, None))
+        axes.set(xlabel="frequency [Hz]", xlim=(49.5, 50.46), ylim=(0.0, None))
     figure.legend(loc="outside lower center", ncols=2)
     return figure
 
