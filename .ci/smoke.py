@@ -11,12 +11,15 @@ import gymnasium as gym
 import numpy as np
 
 import wtg_gym
+from wtg_gym.systems.elementary import fma
 
 
 def main() -> None:
     """Fail with the first thing that does not work."""
     installed = Path(wtg_gym.__file__)
     assert "site-packages" in installed.parts, f"this is not an installed package: {installed}"
+    # It is the C library's, and rounds once.
+    assert fma(1.0 + 2.0**-30, 1.0 + 2.0**-30, -1.0 - 2.0**-29) == 2.0**-60
     for version, suite in (("v0", "standard"), ("v1", "standard-v1")):
         env = gym.make(f"wtg_gym:GFMWTG-14bus-{version}")
         env.reset(seed=0)
