@@ -27,7 +27,7 @@ def main() -> None:
             env.step(np.zeros(env.action_space.shape, np.float32))
         env.close()
         results = wtg_gym.evaluate([], suite, seeds=(10_000, 10_001))
-        assert len(results.episodes) == 4, results
+        assert len(results.episodes) == 2 * len(results.scores) > 0, results
     shown = subprocess.run(["wtg-gym", "--version"], capture_output=True, text=True, check=True).stdout
     assert importlib.metadata.version("wtg-gym") in shown, shown
     subprocess.run(["wtg-gym", "suites", "standard-v1", "--seed", "20000"], check=True, stdout=subprocess.DEVNULL)
