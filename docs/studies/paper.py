@@ -77,9 +77,14 @@ class Balance:
         self.slowest = LEAST_RATIO / self.ratio_per_speed
         self.fastest = max(self.slowest, 1.01 * most ** (1.0 / 3.0))
 
+    def captured(self, speed):
+        return self.in_wind * power_coefficient(self.ratio_per_speed * np.asarray(speed), 0.0, self.curve)
+
+    def delivered(self, speed):
+        return self.k * speed**3 - self.droop
+
     def surplus(self, speed):
-        captured = self.in_wind * power_coefficient(self.ratio_per_speed * np.asarray(speed), 0.0, self.curve)
-        return captured - (self.k * np.asarray(speed) ** 3 - self.droop)
+        return self.captured(speed) - self.delivered(speed)
 
     def samples(self):
         """Return rotor speeds that tell all equilibria apart; without any surplus, that of the least deficit too."""
@@ -94,8 +99,7 @@ class Balance:
         return np.unique(np.append(speeds, best.x))
 
     def at(self, speed, stable=True):
-        power = self.k * speed**3 - self.droop
-        return OperatingPoint(self.frequency_pu, speed, self.ratio_per_speed * speed, power, stable)
+        return OperatingPoint(self.frequency_pu, speed, self.ratio_per_speed * speed, self.delivered(speed), stable)
 
 
 def equilibria(frequency_pu, law, wind_m_s, turbine=TURBINE, control=CONTROL):
@@ -157,9 +161,8 @@ def characteristic(law):
     for group, (wind, colour) in enumerate(zip(WINDS, style.PALETTE, strict=False), 1):
         balances = [Balance(frequency, law, wind) for frequency in CORNERS]
         for balance in balances:
-            over_speed.plot(speeds, balance.k * speeds**3 - balance.droop, color=style.REFERENCE_GREY, linewidth=0.7)
-        captured = balances[0].surplus(speeds) + balances[0].k * speeds**3 - balances[0].droop
-        over_speed.plot(speeds, captured, color=colour, label=f"{group}: {wind:g} m/s")
+            over_speed.plot(speeds, balance.delivered(speeds), color=style.REFERENCE_GREY, linewidth=0.7)
+        over_speed.plot(speeds, balances[0].captured(speeds), color=colour, label=f"{group}: {wind:g} m/s")
         states = [equilibria(frequency, law, wind) for frequency in frequencies]
         named = named_points(law, wind)
         for dashes, at in (("-", -1), ("--", -2)):

@@ -174,7 +174,8 @@ def test_memory_goes_on_and_is_cleared_where_an_episode_starts():
 
 def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    for name, reason in (("none", ""), ("pipe", "it is no plain file")):
+    (tmp_path / "link").symlink_to("/dev/zero")
+    for name, reason in (("none", ""), ("pipe", "it is no plain file"), ("link", "it is no plain file")):
         with pytest.raises(ValueError, match=f"cannot read the policy .*{name}.*{reason}"):
             OnnxPolicy(tmp_path / name)
 
