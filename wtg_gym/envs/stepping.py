@@ -206,7 +206,15 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int,
     observations of prepared episodes instead. It returns -1, or the first lane with an action that is not finite: its
     block and those after it have not been stepped.
     """
-    blocks, scratch, network, task = bound.blocks, bound.scratches[worker], bound.network, bound.task
+    scratch, of_all = bound.scratches[worker], (bound.network, bound.data, bound.task, bound.outputs)
+    return _step_blocks(bound.blocks, scratch, of_all, actions, first, last, starts)
+
+
+@internal
+def _step_blocks(
+    blocks: Floats, scratch: Floats, of_all: Any, actions: Floats, first: int, last: int, starts: bool
+) -> int:
+    network, data, task, outputs = of_all
     width, tables = blocks.shape[2], network.tables
     for b in range(first, last):
         block, arrays = blocks[b], (blocks[b], scratch)
@@ -215,19 +223,19 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int,
                 scratch[task.was_active, x] = 1.0
             _start_sensors(arrays, tables, NONE)
             _observe(arrays, tables, NONE)
-            _report(block, scratch, b * width, task, bound.outputs, 0)
+            _report(block, scratch, b * width, task, outputs, 0)
             continue
         invalid = read_actions(scratch, actions, b * width, task)
         if invalid >= 0:
             return invalid
         for interval in range(task.n_intervals):
             _act(arrays, tables, NONE)
-            advance_interval(block, scratch, b * width, network, bound.data, None)
+            advance_interval(block, scratch, b * width, network, data, None)
             _charge(arrays, tables, NONE)
             _measure(arrays, tables, NONE)
             _observe(arrays, tables, NONE)
             _end(arrays, tables, NONE)
-            _report(block, scratch, b * width, task, bound.outputs, interval)
+            _report(block, scratch, b * width, task, outputs, interval)
         if task.points > 0.0:
-            _score(block, b * width, network.facts.n_substeps * task.n_intervals, task, bound.outputs)
+            _score(block, b * width, network.facts.n_substeps * task.n_intervals, task, outputs)
     return -1

@@ -178,10 +178,16 @@ def _strike(
 ) -> None:
     """Let events strike; note the admittances that they leave, and which governors they take away."""
     rules, work = tape
-    governed = block[rules.droops] > 0.0
+    for i in range(rules.droops.shape[0]):
+        for x in range(block.shape[1]):
+            work.lost[step, i, x] = block[rules.droops[i], x] > 0.0
     strike(block, scratch, first, network, data, None, step)
-    work.lost[step] = governed & (block[rules.droops] == 0.0)
-    work.admittances[step] = scratch[rules.admittances]
+    for i in range(rules.droops.shape[0]):
+        for x in range(block.shape[1]):
+            work.lost[step, i, x] &= block[rules.droops[i], x] == 0.0
+    for i in range(rules.admittances.shape[0]):
+        for x in range(block.shape[1]):
+            work.admittances[step, i, x] = scratch[rules.admittances[i], x]
 
 
 @internal
@@ -191,9 +197,10 @@ def _find(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, W
     at, evaluation = _row(rules.noted, step, stage), N_STAGES * step + stage
     _flow((block, scratch, work.tape), network.tables, NONE, at)
     _hold((block, scratch), network.tables, NONE)
-    work.limited[evaluation] = False
-    for i in range(rules.reactances.shape[0]):
-        work.limited[evaluation] |= scratch[rules.reactances[i]] > 0.0
+    for x in range(block.shape[1]):
+        work.limited[evaluation, x] = False
+        for i in range(rules.reactances.shape[0]):
+            work.limited[evaluation, x] |= scratch[rules.reactances[i], x] > 0.0
     _sweep_once((block, scratch, work.tape), network.tables, NONE, at + rules.noted.flows)
 
 
@@ -263,7 +270,9 @@ def _pull_flows(bars: Floats, to: Floats, network: Network, rules: Rules, work: 
         all_settled &= work.settled[x]
     sweeps = 0
     while not all_settled and sweeps < _SWEEPS:
-        work.before[:] = work.bars
+        for i in range(rules.flows.shape[0]):
+            for x in range(width):
+                work.before[rules.flows[i], x] = work.bars[rules.flows[i], x]
         arrays = bars, work.bars, work.tape, work.scratch, to
         _sweep_back(arrays, network.tables, NONE, at + rules.noted.flows)
         all_settled = _settle(rules, work)
@@ -283,7 +292,8 @@ def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, wor
     _pull_flows(bars, to, network, rules, work, n, 0)
     for step in range(n - 1, -1, -1):
         for i in range(rules.admittances.shape[0]):
-            scratch[rules.admittances[i]] = work.admittances[step, i]
+            for x in range(scratch.shape[1]):
+                scratch[rules.admittances[i], x] = work.admittances[step, i, x]
         _moved_back(arrays, tables, NONE, _row(p, step, N_STAGES))
         for stage in range(N_STAGES - 1, -1, -1):
             _motion_back(arrays, tables, stage_scalars(facts, step, stage), _row(p, step, stage) + of_find)

@@ -266,22 +266,19 @@ def _set(block: Floats, a: float, b: float, c: float, d: float) -> None:
     block[0, 0], block[0, 1], block[1, 0], block[1, 1] = a, b, c, d
 
 
-@compiled
+@internal
 def solve_blocks(diagonal: Floats, above: Floats, below: Floats, x: Floats, pattern: Pattern) -> bool:
     """Solve a block matrix with symmetric pattern by elimination, in place; False where a diagonal block is singular.
 
     Blocks on the diagonal (n_bus, 2, 2) are in the pattern's order, and their inverses on return; those above and below
     it (n_entries, 2, 2) are of its entries. `x` is the right-hand side, then the solution (n_bus, 2).
     """
-    inverse = np.empty((2, 2))
     for k in range(len(diagonal)):
         d = diagonal[k]
         det = d[0, 0] * d[1, 1] - d[0, 1] * d[1, 0]
         if not abs(det) > 1e-30:
             return False
-        inverse[0, 0], inverse[0, 1] = d[1, 1] / det, -d[0, 1] / det
-        inverse[1, 0], inverse[1, 1] = -d[1, 0] / det, d[0, 0] / det
-        d[:] = inverse
+        _set(d, d[1, 1] / det, -d[0, 1] / det, -d[1, 0] / det, d[0, 0] / det)
         begin, end = pattern.first[k], pattern.first[k + 1]
         for e in range(begin, end):
             j, low = pattern.later[e], below[e]
@@ -317,10 +314,11 @@ def solve_sparse_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow, patt
     The tolerance grows with the powers that meet at a bus, whose sum rounding limits.
     """
     n = y.shape[0]
-    diagonal, x, flow, size = np.empty((n, 2, 2)), np.empty((n, 2)), np.empty(n, np.complex128), np.empty(n)
+    diagonal, x, size = np.empty((n, 2, 2)), np.empty((n, 2)), np.empty(n)
+    voltage, flow = np.empty((2, n), np.complex128)
     above, below = np.empty((len(pattern.later), 2, 2)), np.empty((len(pattern.later), 2, 2))
     for iteration in range(_STEPS):
-        _write_flows((above, below, flow, size), y, buses, at, pattern)
+        _write_flows((above, below, voltage, flow, size), y, buses, at, pattern)
         worst = _write_rows((diagonal, above, below, x), (flow, size), y, slack, buses, at, pattern)
         if worst < _TOLERANCE:
             note_flow(y, buses, at)
@@ -336,9 +334,8 @@ def solve_sparse_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow, patt
 
 @internal
 def _write_flows(arrays: Any, y: Complex, buses: Floats, at: PowerFlow, pattern: Pattern) -> None:
-    """Write the blocks off the diagonal, the flow from each bus, and the sum of the powers that meet there."""
-    above, below, flow, size = arrays
-    voltage = np.empty(y.shape[0], np.complex128)
+    """Write the blocks off the diagonal, voltages, the flow from each bus, and the sum of the powers that meet there."""
+    above, below, voltage, flow, size = arrays
     above[:], below[:] = 0.0, 0.0
     for k in range(y.shape[0]):
         angle = buses[k, at.polar + 1]

@@ -11,7 +11,7 @@ from wtg_gym.physics.layout import OF_LANE, Facts, Floats, LaneData, Network, Wh
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
 from wtg_gym.physics.units import BUSES, ISLANDS, UNITS
-from wtg_gym.systems.compiled import addressed, compiled, inlined, internal
+from wtg_gym.systems.compiled import addressed, allocating, compiled, inlined, internal
 from wtg_gym.systems.programs import Complex
 from wtg_gym.systems.routines import Function
 
@@ -35,7 +35,7 @@ class _Rows(NamedTuple):
     sources: Floats
 
 
-@internal
+@inlined
 def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
     return _Rows(
         block[:, x],
@@ -77,15 +77,20 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
     if facts.islands.n_units > 1 and opens_lines:
         _islands(network.tables, (block, x, lane, network, data))
     _shed(rows, network, events)
+    _reduce(rows, network, events)
+
+
+@allocating
+def _reduce(rows: _Rows, network: Network, events: Any) -> None:
     n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
     # Columns of the bus impedance matrix: of the units' buses, then of the load noise's.
     z, unit_y = np.empty((n_bus, n_bus + n + 1), dtype=np.complex128), np.empty(n, dtype=np.complex128)
     _assemble(z, unit_y, rows, network, events)
-    _reduce(z, unit_y, rows, network)
+    _write_reduced(z, unit_y, rows, network)
 
 
 @internal
-def _reduce(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
+def _write_reduced(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
     """Write Y_red = diag(y) - diag(y) Z diag(y), transfers to and from the noise bus, impedances there."""
     noise_bus = int(rows.lane[OF_LANE.noise_bus])
     n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
@@ -157,7 +162,7 @@ def _ramped(event: Any, step: float, at: float) -> float:
 
 
 # Loops: to assign rows as numpy does takes two seconds of compiling, for the message of an error.
-@internal
+@allocating
 def _copy_of(rows: Floats) -> Floats:
     copy = np.empty(rows.shape)
     for i in range(rows.shape[0]):
@@ -178,8 +183,12 @@ def find_islands(block: Floats, x: int, lane: int, network: Network, data: LaneD
     What protections remember of an island goes with most of its load, when it falls apart and when parts join. Units of
     a part that joins another are counted from the same turn.
     """
-    rows = _rows_of(block, x, network.facts)
-    part = _parts_of(rows.lane[OF_LANE.step], network, data.events[lane])
+    _find_islands(_rows_of(block, x, network.facts), network, data.events[lane])
+
+
+@allocating
+def _find_islands(rows: _Rows, network: Network, events: Any) -> None:
+    part = _parts_of(rows.lane[OF_LANE.step], network, events)
     number = _numbers_of(part, rows, network)
     islands, stages = _copy_of(rows.islands), _copy_of(rows.stages)
     rows.lane[OF_LANE.split] = 0.0
@@ -213,7 +222,7 @@ def _is_open(branch: int, step: float, events: Any) -> bool:
     return is_open
 
 
-@internal
+@allocating
 def _parts_of(step: float, network: Network, events: Any) -> Whole:
     """Return the first bus of the part of the network that each bus is in at a step (n_bus,)."""
     part, moved = np.arange(network.shunts.shape[0]), True
@@ -228,7 +237,7 @@ def _parts_of(step: float, network: Network, events: Any) -> Whole:
     return part
 
 
-@internal
+@allocating
 def _numbers_of(part: Whole, rows: _Rows, network: Network) -> Whole:
     """Return the number of the island that each part is, at the place of its first bus (n_bus,); -1 for no island."""
     loads, lives = np.zeros(part.shape[0]), np.zeros(part.shape[0], dtype=np.bool_)
@@ -248,7 +257,7 @@ def _numbers_of(part: Whole, rows: _Rows, network: Network) -> Whole:
     return number
 
 
-@internal
+@allocating
 def _island_before(part: Whole, p: int, rows: _Rows) -> int:
     """Return the island that most of a part's load was in; a bus without load counts a little."""
     loads = np.zeros(rows.islands.shape[0])

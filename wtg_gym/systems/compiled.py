@@ -250,9 +250,13 @@ def compiled(function: F) -> F:
     return _kept(function)
 
 
+# Numba counts the references to every array, also those of views, with atomic operations: two threads that read the same
+# arrays wait for each other, which cost 40 % of a step. What compiled code calls counts none, unless it makes arrays.
+
+
 def addressed(function: F) -> F:
     """Compile a function that only compiled code calls, at an address: without a wrapper for Python."""
-    return _kept(function, no_cpython_wrapper=True)
+    return _kept(function, no_cpython_wrapper=True, _nrt=False)
 
 
 def _kept(function: F, **options: Any) -> F:
@@ -266,9 +270,19 @@ def _kept(function: F, **options: Any) -> F:
 def internal(function: F) -> F:
     """Compile a function that compiled functions call, and Python never: what Python needs for a call is left out.
 
-    It is part of the machine code of its callers, and not kept by itself.
+    It is part of the machine code of its callers, and not kept by itself. It can neither make arrays nor return any.
     """
-    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True)(function)
+    return _part(function, _nrt=False)
+
+
+def allocating(function: F) -> F:
+    """Compile as :func:`internal` does, but a function that makes arrays or returns them."""
+    return _part(function, _nrt=True)
+
+
+def _part(function: F, **options: Any) -> F:
+    options |= dict(nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True)
+    result: F = numba.njit(**options)(function)
     return result
 
 
