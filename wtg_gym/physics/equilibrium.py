@@ -16,7 +16,7 @@ from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.units import BUSES, LANE, StartFailure
 from wtg_gym.ranges import whole_steps
-from wtg_gym.systems.compiled import compiled, internal
+from wtg_gym.systems.compiled import allocating, compiled
 from wtg_gym.systems.programs import NONE, Complex, Whole
 from wtg_gym.systems.routines import Function
 
@@ -150,7 +150,7 @@ _BALANCED = 1e-10
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 
 
-@internal
+@allocating
 def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> float:
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
     facts, tables, scratch = network.facts, network.tables, arrays[1]
@@ -178,7 +178,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network
     return float(buses[facts.slack, _OF_BUS.flow] - buses[facts.slack, _OF_BUS.planned])
 
 
-@internal
+@allocating
 def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
     lane = units_of(arrays[1], network.facts.starting)[0]

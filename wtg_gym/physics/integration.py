@@ -8,7 +8,7 @@ from wtg_gym.physics.layout import OF_LANE, Facts, Floats, LaneData, Network, pl
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.compiled import allocating, compiled, inlined, internal
 from wtg_gym.systems.programs import NONE, in_one_table
 from wtg_gym.systems.routines import Function, Routine
 
@@ -44,7 +44,7 @@ refresh = REFRESH.call
 _WIND_START, _WIND_END = place_of(GROUPS, "wind_start"), place_of(GROUPS, "wind_end")
 
 
-@internal
+@allocating
 def _enter_interval(block: Floats, first_lane: int, network: Network, data: LaneData) -> None:
     """Read wind and load noise of the control interval that begins, for every environment of a block."""
     facts = network.facts
@@ -65,9 +65,9 @@ def strike(
     block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any, step: int
 ) -> None:
     """Let the events that are due at the present step change the networks of a block."""
-    lane, changed = units_of(block, network.facts.lane)[0], False
+    lane, changed = network.facts.lane.first, False
     for x in range(block.shape[1]):
-        if lane[OF_LANE.step, x] >= lane[OF_LANE.next_change, x]:
+        if block[lane + OF_LANE.step, x] >= block[lane + OF_LANE.next_change, x]:
             refresh(network.tables, (block, x, first_lane + x, network, data))
             changed = True
     if changed:

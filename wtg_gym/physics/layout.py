@@ -21,7 +21,7 @@ from wtg_gym.physics.network import Pattern
 from wtg_gym.physics.units import LANE, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.ranges import did_you_mean, require_known
-from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.compiled import allocating
 from wtg_gym.systems.programs import Complex, Tables
 from wtg_gym.systems.systems import Kind, count, is_record, short_names, structured
 
@@ -72,7 +72,7 @@ class Span(NamedTuple):
     n_rows: int = 0  # of each
 
 
-@inlined
+@allocating
 def units_of(rows: Floats, span: Span) -> Floats:
     """Return a view of each unit's rows (n_units, n_rows, width) in a block or a scratch (n, width)."""
     end = span.first + span.n_units * span.n_rows

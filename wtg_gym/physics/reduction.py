@@ -35,7 +35,7 @@ class _Rows(NamedTuple):
     sources: Floats
 
 
-@inlined
+@allocating
 def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
     return _Rows(
         block[:, x],
@@ -51,7 +51,7 @@ def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
     )
 
 
-@inlined
+@internal
 def _write(rows: Floats, at: int, value: complex) -> None:
     rows[at], rows[at + 1] = value.real, value.imag
 
@@ -183,12 +183,8 @@ def find_islands(block: Floats, x: int, lane: int, network: Network, data: LaneD
     What protections remember of an island goes with most of its load, when it falls apart and when parts join. Units of
     a part that joins another are counted from the same turn.
     """
-    _find_islands(_rows_of(block, x, network.facts), network, data.events[lane])
-
-
-@allocating
-def _find_islands(rows: _Rows, network: Network, events: Any) -> None:
-    part = _parts_of(rows.lane[OF_LANE.step], network, events)
+    rows = _rows_of(block, x, network.facts)
+    part = _parts_of(rows.lane[OF_LANE.step], network, data.events[lane])
     number = _numbers_of(part, rows, network)
     islands, stages = _copy_of(rows.islands), _copy_of(rows.stages)
     rows.lane[OF_LANE.split] = 0.0

@@ -256,7 +256,7 @@ def compiled(function: F) -> F:
 
 def addressed(function: F) -> F:
     """Compile a function that only compiled code calls, at an address: without a wrapper for Python."""
-    return _kept(function, no_cpython_wrapper=True, _nrt=False)
+    return _kept(function, no_cpython_wrapper=True, _nrt=True)
 
 
 def _kept(function: F, **options: Any) -> F:
