@@ -11,13 +11,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from wtg_gym.envs import interface, rendering, settings
-from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes
+from wtg_gym.envs.lanes import EPISODES_AT_ONCE, PreparedEpisodes, TaskLanes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
 
 _MOST_ENVS = 1_000_000
-#: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
-_LANES_AT_ONCE = 16
 
 
 class NextEpisodes:
@@ -38,7 +36,7 @@ class NextEpisodes:
     def choose(self, wanted: Sequence[int]) -> list[int]:
         """Return which lanes to prepare now: those of `wanted` that are not ready, filled up to whole groups."""
         missing = [lane for lane in wanted if lane not in self._ready and lane not in self._refused]
-        n_more = min(-len(missing) % _LANES_AT_ONCE, self._lanes.n_lanes - len(missing))
+        n_more = min(-len(missing) % EPISODES_AT_ONCE, self._lanes.n_lanes - len(missing))
         if not missing or n_more == 0:
             return missing
         remaining = self._lanes.task_values("end_step") - self._lanes.simulator.lane_values("step")
@@ -48,8 +46,8 @@ class NextEpisodes:
 
     def prepare(self, chosen: Sequence[int]) -> None:
         """Draw and prepare the next episodes of lanes; :meth:`start` raises the error of one that cannot start."""
-        for first in range(0, len(chosen), _LANES_AT_ONCE):
-            group = chosen[first : first + _LANES_AT_ONCE]
+        for first in range(0, len(chosen), EPISODES_AT_ONCE):
+            group = chosen[first : first + EPISODES_AT_ONCE]
             scenarios = self._lanes.draw([self._generators[lane] for lane in group])
             try:
                 self._put(group, self._lanes.prepare(scenarios))

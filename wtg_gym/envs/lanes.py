@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings, as_scenario
-from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, step_blocks, task_data
+from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, pay, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.layout import Floats, LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
@@ -33,12 +33,12 @@ TERMINATION_REASONS = {
     Status.LOSS_OF_SYNCHRONISM: "loss of synchronism",
     Status.VOLTAGE_COLLAPSE: "voltage collapse",
 }
-#: Scenarios that the law that scores 100 plays at a time: as many as share a block of lanes.
-_REFERENCES_AT_ONCE = 16
+#: Episodes that are drawn and prepared together: their series fit a processor's cache.
+EPISODES_AT_ONCE = 32
 #: Scenarios drawn for an episode before a reset gives up.
 _MOST_DRAWS = 200
-#: An episode takes as long to prepare (100 µs) as this many blocks to step (20 µs each).
-_BLOCKS_PER_EPISODE = 5
+#: An episode of v0 takes as long to prepare (100 µs) as this many blocks to step (10 µs each).
+_BLOCKS_PER_EPISODE = 10
 
 
 #: Arrays with one row per lane: the outputs, then seeds, reserve margins and events, see :class:`TaskLanes`.
@@ -85,6 +85,7 @@ class TaskLanes:
             duration_s=self.duration_s,
             task=settings.task.units(settings.choices),
             n_threads=n_threads,
+            intervals_at_once=settings.n_intervals,
         )
         self.n_lanes = self.simulator.n_lanes
         self.nominal_hz = plant.case.frequency_hz
@@ -216,9 +217,13 @@ class TaskLanes:
             if self._reference is None:
                 changes: dict[str, Any] = {"observation_mode": "local", "reward": "cost", "duration_s": self.duration_s}
                 settings = replace(self.settings, strategy=self.settings.task.hundred, **changes)
-                self._reference = TaskLanes(settings, min(self.n_lanes, _REFERENCES_AT_ONCE), 1)
+                n_lanes, n_threads = min(self.n_lanes, EPISODES_AT_ONCE), self.simulator.threads.n_threads
+                self._reference = TaskLanes(settings, n_lanes, n_threads)
             # What the law that scores 100 has paid up to each control step.
-            outputs.reference[:] = paid(self._reference, scenarios)
+            for first in range(0, len(scenarios), self._reference.n_lanes):
+                batch = scenarios[first : first + self._reference.n_lanes]
+                self._reference.start(range(len(batch)), batch)
+                self._reference.pay(outputs.reference[first : first + len(batch)])
             outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         seeds = np.array([-1 if scenario.seed is None else scenario.seed for scenario in scenarios], dtype=np.int64)
         margins = np.array([self.suite.margin(scenario, plant) for scenario in scenarios])
@@ -348,6 +353,17 @@ class TaskLanes:
             meanwhile()
 
     @undivided
+    def pay(self, paid: Floats) -> None:
+        """Play episodes that have just been started without actions; write their costs up to each control step.
+
+        `paid` is (n_lanes, n_steps + 1), of the first lanes.
+        """
+        if self._bound is None:
+            self._bind()
+        bound, actions = self._bound, np.zeros((self.n_lanes, self.n_action))
+        self.simulator.threads.run(lambda first, last, worker: pay(bound, actions, paid, first, last, worker))
+
+    @undivided
     def _bind(self) -> None:
         # numba would turn the exception of a signal handler into a SystemError.
         simulator = self.simulator
@@ -431,16 +447,3 @@ class TaskLanes:
 
 def _objects(values: Sequence[Any]) -> npt.NDArray[np.object_]:
     return np.fromiter(values, dtype=object, count=len(values))
-
-
-def paid(lanes: TaskLanes, scenarios: Sequence[Scenario]) -> Floats:
-    """Return what the law of lanes has paid up to each control step of scenarios, (n_scenarios, n_steps + 1)."""
-    costs = np.zeros((len(scenarios), lanes.n_steps_of_episode + 1))
-    zero = np.zeros((lanes.n_lanes, lanes.n_action))
-    for first in range(0, len(scenarios), lanes.n_lanes):
-        batch = scenarios[first : first + lanes.n_lanes]
-        lanes.start(range(len(batch)), batch)
-        for step in range(1, costs.shape[1]):
-            lanes.step(zero)
-            costs[first : first + len(batch), step] = lanes.cost_sums()[: len(batch)].sum(axis=1)
-    return costs

@@ -148,6 +148,15 @@ def log_score(reference: float, cost: float, offset: float) -> float:
 
 
 @internal
+def _paid(block: Floats, x: int, task: TaskData) -> float:
+    """Return what the episode of a lane has cost up to now."""
+    cost = 0.0
+    for k in range(_N_TERMS):
+        cost += block[task.sums + k, x]
+    return cost
+
+
+@internal
 def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: Outputs) -> None:
     """Reward the lanes of a block, from `first` on, with what their score has gained in a control step.
 
@@ -156,9 +165,7 @@ def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: 
     :func:`log_score`, to which the former is close unless the costs differ much.
     """
     for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
-        lane, cost = first + x, 0.0
-        for k in range(_N_TERMS):
-            cost += block[task.sums + k, x]
+        lane, cost = first + x, _paid(block, x, task)
         steps = math.ceil(block[task.step, x] / n_substeps) if block[task.active, x] > 0.5 else -1
         whole, offset = outputs.reference[lane, -1], outputs.offsets[lane]
         gained = (outputs.reference[lane, steps] - cost) / (whole + offset)
@@ -239,3 +246,18 @@ def _step_blocks(
         if task.points > 0.0:
             _score(block, b * width, network.facts.n_substeps * task.n_intervals, task, outputs)
     return -1
+
+
+@compiled
+def pay(bound: Any, actions: Floats, paid: Floats, first: int, last: int, worker: int) -> None:
+    """Play episodes of blocks first … last - 1 that have just been started, with the same actions (n_lanes, n_action).
+
+    What each has cost up to every control step is written to `paid` (n_lanes, n_steps + 1).
+    """
+    blocks, scratch, task = bound.blocks, bound.scratches[worker], bound.task
+    of_all, width = (bound.network, bound.data, task, bound.outputs), blocks.shape[2]
+    for b in range(first, last):
+        for step in range(1, paid.shape[1]):
+            _step_blocks(blocks, scratch, of_all, actions, b, b + 1, False)
+            for x in range(min(width, paid.shape[0] - b * width)):
+                paid[b * width + x, step] = _paid(blocks[b], x, task)

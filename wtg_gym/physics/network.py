@@ -334,7 +334,7 @@ def solve_sparse_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow, patt
 
 @internal
 def _write_flows(arrays: Any, y: Complex, buses: Floats, at: PowerFlow, pattern: Pattern) -> None:
-    """Write the blocks off the diagonal, voltages, the flow from each bus, and the sum of the powers that meet there."""
+    """Write the blocks off the diagonal, voltages, flows from each bus, and the sum of the powers that meet there."""
     above, below, voltage, flow, size = arrays
     above[:], below[:] = 0.0, 0.0
     for k in range(y.shape[0]):

@@ -21,22 +21,26 @@ from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Complex, Whole
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
 
-#: A thread is worth its start only for this many blocks.
+#: A thread is worth its start only for this many blocks that advance by one control interval.
 _BLOCKS_PER_THREAD = 4
 
 
 class BlockThreads:
-    """Threads that work on blocks: at most `n_threads`, None for one per processor."""
+    """Threads that work on blocks, some control intervals at a time.
 
-    def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
-        self.n_blocks, self.n_threads = n_blocks, n_threads
+    There are at most `n_threads`, None for one per processor.
+    """
+
+    def __init__(self, n_blocks: int, n_threads: int | None = None, n_intervals: int = 1) -> None:
+        self.n_blocks, self.n_threads, self._n_intervals = n_blocks, n_threads, n_intervals
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
         self._count_workers()
 
     def _count_workers(self) -> None:
         #: Threads that work on blocks at once; each has memory of its own.
-        self.n_workers = max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
+        most = min(self.n_blocks, self.n_blocks * self._n_intervals // _BLOCKS_PER_THREAD)
+        self.n_workers = max(1, min(most, self.n_threads or os.cpu_count() or 1))
 
     @undivided
     def run(
@@ -145,7 +149,7 @@ class Simulator:
     outside its range, or the step too long for the plant.
 
     It holds runs of `duration_s` [s] at most. `task` has kinds of unit and programs of a task. Blocks are advanced by
-    `n_threads`, None for one per processor; results do not depend on it.
+    `n_threads`, None for one per processor, by `intervals_at_once`; results depend on neither.
     """
 
     def __init__(
@@ -156,6 +160,7 @@ class Simulator:
         duration_s: float = 60.0,
         task: TaskUnits = NO_TASK,
         n_threads: int | None = None,
+        intervals_at_once: int = 1,
     ) -> None:
         self.n_lanes = require_whole("the number of lanes", n_lanes, 1, 1_000_000)
         if n_threads is not None:
@@ -178,7 +183,7 @@ class Simulator:
         self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows, self.width)
         # A padded or not yet started lane must hold finite values: it is computed along with its neighbours.
         self.data = self._allocate_data(n_blocks * self.width, 4)
-        self.threads = BlockThreads(n_blocks, n_threads)
+        self.threads = BlockThreads(n_blocks, n_threads, intervals_at_once)
         #: Scratch of each worker (n_workers, n_scratch, width).
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         self._rates = np.zeros((0, 0, 0))

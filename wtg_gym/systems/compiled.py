@@ -250,17 +250,14 @@ def compiled(function: F) -> F:
     return _kept(function)
 
 
-# Numba counts the references to every array, also those of views, with atomic operations: two threads that read the same
-# arrays wait for each other, which cost 40 % of a step. What compiled code calls counts none, unless it makes arrays.
-
-
 def addressed(function: F) -> F:
     """Compile a function that only compiled code calls, at an address: without a wrapper for Python."""
-    return _kept(function, no_cpython_wrapper=True, _nrt=True)
+    return _kept(function, no_cpython_wrapper=True)
 
 
 def _kept(function: F, **options: Any) -> F:
-    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    # Left out, numba's _nrt would be that of whatever function is compiled meanwhile.
+    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=True, **options)(function)
     # With NUMBA_DISABLE_JIT it is the function itself.
     if result is not function:
         result._cache = DiskCache(function, cache_folder(), source_hash())  # type: ignore[attr-defined]
@@ -270,7 +267,9 @@ def _kept(function: F, **options: Any) -> F:
 def internal(function: F) -> F:
     """Compile a function that compiled functions call, and Python never: what Python needs for a call is left out.
 
-    It is part of the machine code of its callers, and not kept by itself. It can neither make arrays nor return any.
+    It is part of the machine code of its callers, and not kept by itself. It can neither make arrays nor return any:
+    numba counts references to arrays and their views by atomic operations, for which two threads that read the same
+    arrays wait. That took 40 % of a step, so these functions do not count.
     """
     return _part(function, _nrt=False)
 
