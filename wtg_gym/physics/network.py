@@ -35,11 +35,11 @@ def _size(value: complex) -> float:
 
 
 @internal
-def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
+def eliminate(a: npt.NDArray, filled: Whole) -> bool:  # type: ignore[type-arg]
     """Solve A x = b for several right-hand sides by Gaussian elimination with partial pivoting.
 
     `a` (n, n + m) is [A | b], and [… | x] on return. Returns False where A is singular. Ours rather than LAPACK's: the
-    same bits whatever library, thread count or processor numpy was built for.
+    same bits whatever library, thread count or processor numpy was built for. `filled` is room for n + m numbers.
     """
     n, n_columns = a.shape
     for k in range(n):
@@ -53,10 +53,15 @@ def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
             for j in range(k, n_columns):
                 a[k, j], a[pivot, j] = a[pivot, j], a[k, j]
         a[k, k] = 1.0 / a[k, k]
+        n_filled = 0
+        for j in range(k + 1, n_columns):
+            if a[k, j] != 0.0:
+                filled[n_filled] = j
+                n_filled += 1
         for i in range(k + 1, n):
             if a[i, k] != 0.0:
                 factor = a[i, k] * a[k, k]
-                for j in range(k + 1, n_columns):
+                for j in filled[:n_filled]:
                     a[i, j] -= factor * a[k, j]
     for k in range(n - 1, -1, -1):
         for i in range(k + 1, n):
@@ -103,14 +108,14 @@ def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> in
         if not buses[k, at.holds_voltage] > 0.5:
             n_unknown += 1
     # Sensitivities of the mismatches to the unknowns, and the mismatches: angles first, then magnitudes.
-    a = np.empty((n_unknown, n_unknown + 1))
+    a, filled = np.empty((n_unknown, n_unknown + 1)), np.empty(n_unknown + 1, dtype=np.int64)
     turn = np.empty((n, n), dtype=np.complex128)
     for iteration in range(30):
         worst = _write_jacobian(a, turn, y, slack, buses, at)
         if worst < POWER_FLOW_TOLERANCE:
             note_flow(y, buses, at)
             return iteration
-        if not math.isfinite(worst) or not eliminate(a):
+        if not math.isfinite(worst) or not eliminate(a, filled):
             return -1
         row = n - 1
         for k in range(n):

@@ -86,11 +86,11 @@ def _reduce(rows: _Rows, network: Network, events: Any) -> None:
     # Columns of the bus impedance matrix: of the units' buses, then of the load noise's.
     z, unit_y = np.empty((n_bus, n_bus + n + 1), dtype=np.complex128), np.empty(n, dtype=np.complex128)
     _assemble(z, unit_y, rows, network, events)
-    _write_reduced(z, unit_y, rows, network)
+    _write_reduced(z, unit_y, np.empty(z.shape[1], dtype=np.int64), rows, network)
 
 
 @internal
-def _write_reduced(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
+def _write_reduced(z: Complex, unit_y: Complex, filled: Whole, rows: _Rows, network: Network) -> None:
     """Write Y_red = diag(y) - diag(y) Z diag(y), transfers to and from the noise bus, impedances there."""
     noise_bus = int(rows.lane[OF_LANE.noise_bus])
     n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
@@ -98,7 +98,7 @@ def _write_reduced(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -
         for i in range(n):
             z[k, n_bus + i] = 1.0 if network.unit_bus[i] == k else 0.0
         z[k, n_bus + n] = 1.0 if k == noise_bus else 0.0
-    eliminate(z)
+    eliminate(z, filled)
     pair, transfer = 0, 0
     for i in range(n):
         bus = network.unit_bus[i]
