@@ -49,7 +49,7 @@ def single(env):
 
 
 def vector(name, n_envs):
-    """Step a batch of ours whose first episodes are of all lengths, so that resets come evenly from then on."""
+    """Step a batch of ours whose first episodes are of all lengths, so that resets come evenly once they are over."""
     envs, suite = GFMWTGVectorEnv(n_envs, suite=name), get_suite(name)
     step_s = envs.settings.step_s
     lengths = step_s * np.random.default_rng(0).integers(10, round(suite.duration_s / step_s), n_envs)
@@ -58,6 +58,9 @@ def vector(name, n_envs):
     envs.reset(options={"scenarios": scenarios})
     actions = [envs.action_space.sample() for _ in range(8)]
     count = iter(range(10**12))
+    # Next episodes are prepared in advance, more of them in the beginning.
+    for _ in range(round(suite.duration_s / step_s)):
+        envs.step(actions[next(count) % 8])
     return lambda: envs.step(actions[next(count) % 8]), n_envs, step_s
 
 
