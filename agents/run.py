@@ -18,7 +18,7 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, NamedTuple, Protocol, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -110,8 +110,8 @@ def options(record: type[H]) -> type[H]:
 class SharedSettings(Checked):
     """What is both an option of every training and a setting of its run; the first four as for the environment."""
 
-    action_mode: str = design("k+tau", "-", "what the policy modulates: k, tau or k+tau")
-    observation_mode: str = design("local", "-", "what it sees: local or privileged")
+    action_mode: Literal["k", "tau", "k+tau"] = design("k+tau", "-", "what the policy modulates")
+    observation_mode: Literal["local", "privileged"] = design("local", "-", "what it sees")
     suite: str = design(DEFAULT_SUITE, "-", "suite to train and validate on")
     strategy: str = design(tracking_law.REFERENCE_STRATEGY, "-", "law that the actions modulate")
     seed: Whole = design(0, "-", "seed of everything random", 0, 2**31 - 1)

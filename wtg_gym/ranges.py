@@ -10,7 +10,7 @@ import os
 import re
 import types
 from collections.abc import Collection, Iterable, Mapping
-from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -197,6 +197,9 @@ def _checked(name: str, value: Any, hint: Any, field: Any, *, is_item: bool = Fa
     if hint in (tuple[float, float], tuple[int, int]) and not is_item:
         return _span(name, value, get_args(hint)[0], low, high, unit)
     origin = get_origin(hint)
+    if origin is Literal:
+        require_choice(name, value, get_args(hint))
+        return value
     if origin is tuple:
         items = get_args(hint)
         if isinstance(value, (tuple, list)):
