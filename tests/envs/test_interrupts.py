@@ -280,6 +280,16 @@ def test_threads_have_ended_before_what_a_handler_raises_arrives(handled):
     threads.close()
 
 
+def test_closing_ends_every_thread_those_of_the_reference_at_100_too():
+    before = set(threading.enumerate())
+    envs = GFMWTGVectorEnv(64, version="v1", n_threads=2, duration_s=30.0)
+    envs.reset(seed=0)
+    envs.step(np.zeros(envs.action_space.shape, dtype=np.float32))
+    assert len(set(threading.enumerate()) - before) == 2
+    envs.close()
+    assert set(threading.enumerate()) <= before
+
+
 def test_a_block_may_be_entered_again_within_itself_and_keeps_handlers_that_it_sets(handled):
     held = HeldSignals()
     before = signal.getsignal(SECOND)

@@ -148,6 +148,6 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
 
     def close(self) -> None:
         """Release the worker threads, and close the window; the environment can still be used."""
-        self._lanes.simulator.close()
+        self._lanes.close()
         if self._frames is not None:
             self._frames.close()

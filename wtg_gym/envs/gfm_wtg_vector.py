@@ -264,4 +264,4 @@ class GFMWTGVectorEnv(
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""
-        self._lanes.simulator.close()
+        self._lanes.close()

@@ -422,6 +422,12 @@ class TaskLanes:
         info["termination_reason"] = TERMINATION_REASONS[Status(int(self.statuses()[0]))] if failed else ""
         return info
 
+    def close(self) -> None:
+        """Stop the threads."""
+        for lanes in (self, self._reference):
+            if lanes is not None:
+                lanes.simulator.close()
+
     def __getstate__(self) -> dict[str, Any]:
         # Addresses are those of this object's arrays.
         return {**self.__dict__, "_bound": None}

@@ -74,7 +74,7 @@ def environment_fingerprint(settings: EnvSettings) -> str:
                 digest.update(values.tobytes())
         return digest.hexdigest()
     finally:
-        lanes.simulator.close()
+        lanes.close()
 
 
 def _actions(step: int, n_lanes: int, n_action: int) -> npt.NDArray[np.float64]:

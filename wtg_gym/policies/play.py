@@ -43,7 +43,7 @@ def started_lanes(
             raise PolicyError(f"entry {entry.label!r}: {error}") from error
         yield lanes, scenarios
     finally:
-        lanes.simulator.close()
+        lanes.close()
 
 
 def play(
