@@ -256,7 +256,7 @@ def pay(bound: Any, actions: Floats, paid: Floats, first: int, last: int, worker
     """
     blocks, scratch, task = bound.blocks, bound.scratches[worker], bound.task
     of_all, width = (bound.network, bound.data, task, bound.outputs), blocks.shape[2]
-    for b in range(first, last):
+    for b in range(first, min(last, math.ceil(paid.shape[0] / width))):
         for step in range(1, paid.shape[1]):
             _step_blocks(blocks, scratch, of_all, actions, b, b + 1, False)
             for x in range(min(width, paid.shape[0] - b * width)):

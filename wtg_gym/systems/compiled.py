@@ -267,7 +267,7 @@ def _kept(function: F, **options: Any) -> F:
 def internal(function: F) -> F:
     """Compile a function that compiled functions call, and Python never: what Python needs for a call is left out.
 
-    It is part of the machine code of its callers, and not kept by itself. It can neither make arrays nor return any:
+    It is part of the machine code of its callers, and not kept by itself. It must neither make arrays nor return any:
     numba counts references to arrays and their views by atomic operations, for which two threads that read the same
     arrays wait. That took 40 % of a step, so these functions do not count.
     """
