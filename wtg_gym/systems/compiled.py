@@ -275,7 +275,7 @@ def internal(function: F) -> F:
 
 
 def allocating(function: F) -> F:
-    """Compile as :func:`internal` does, but a function that makes arrays or returns them."""
+    """Compile as :func:`internal`, but what makes arrays, returns them, or calls a function that returns them."""
     return _part(function, _nrt=True)
 
 
