@@ -1,7 +1,7 @@
 """The environment for many agents, one per WTG group; needs the extra `marl`."""
 
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from wtg_gym.envs import GFMWTGEnv, interface
 from wtg_gym.envs.rendering import Frame
-from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName, require_known
 from wtg_gym.signals import undivided
@@ -49,14 +48,14 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         arguments: as for :class:`wtg_gym.envs.GFMWTGEnv`, but `observation_mode`.
     """
 
-    def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         if "observation_mode" in arguments:
             raise TypeError(
                 "observation_mode cannot be chosen: agents see what their own groups measure, and state() is the "
                 "privileged observation"
             )
         #: The environment that the agents share.
-        seen: EnvArguments = {**arguments, "observation_mode": "privileged"}
+        seen = {**arguments, "observation_mode": "privileged"}
         self.single_env = GFMWTGEnv(render_mode=render_mode, **seen)
         self.render_mode = render_mode
         lanes, settings = self.single_env.lanes, self.single_env.settings

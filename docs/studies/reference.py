@@ -17,7 +17,7 @@ from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, ProtectionParameters, SheddingStage, WtgGroup
 from wtg_gym.tasks import TASKS, V1
-from wtg_gym.tasks.cost import CostWeights
+from wtg_gym.tasks.cost import COST_TERMS, CostWeights
 from wtg_gym.tasks.observation import GridObservation, Info, LocalInfo, MachineObservation, WtgObservation
 from wtg_gym.tasks.sensing import MeasuredObservation
 
@@ -97,9 +97,8 @@ def weights():
 
 def info():
     """Return the keys of `info`, whose names end in their units; one row for all terms of the cost."""
-    keys = [(key, meaning) for key, _, meaning in (*declared(Info), *declared(LocalInfo))]
-    terms = ", ".join(key.removeprefix("cost_") for key, _ in keys if key.startswith("cost_"))
-    rows = [(f"`{key}`", meaning) for key, meaning in keys if not key.startswith("cost_")]
+    rows = [(f"`{key}`", meaning) for key, _, meaning in (*declared(Info), *declared(LocalInfo))]
+    terms = ", ".join(COST_TERMS)
     rows += [
         ("`cost_…`", f"[cost of this step](benchmark.md#the-cost): {terms}, in v1 with load not served"),
         ("`scenario_seed`", "its seed, else −1"),

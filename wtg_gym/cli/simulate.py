@@ -1,42 +1,11 @@
 """`wtg-gym simulate`: one scenario under one or several strategies."""
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Group, Parameter
-
 from wtg_gym.cli import options, output
-
-
-@Parameter(name="*", group=Group("Scenario", sort_key=1))
-@dataclass(frozen=True, kw_only=True)
-class ScenarioOptions:
-    """The scenario, and changes to it."""
-
-    suite: options.SuiteName = "paper"
-    """suite to draw from, one of those that `wtg-gym suites` lists; the grid is its own too"""
-    seed: options.Whole | None = None
-    """seed of the suite; default: its first test seed, of the suite paper the load increase"""
-    scenario: Path | None = None
-    """scenario file in JSON, as `wtg-gym suites NAME --seed N --json` prints, in the place of a seed"""
-    duration: float | None = None
-    """length of the run [s]; a drawn scenario is drawn anew for it"""
-    wind: Annotated[tuple[float, ...] | None, Parameter(consume_multiple=1, negative="")] = None
-    """constant wind, 3 … 25 m/s: one for all WTG groups or one each"""
-    wind_csv: Path | None = None
-    """wind series: time_s, then one column per WTG group [m/s], uniform steps"""
-
-    def __post_init__(self) -> None:
-        """Refuse options that exclude each other."""
-        for first, second in (("scenario", "seed"), ("wind", "wind_csv")):
-            if getattr(self, first) is not None and getattr(self, second) is not None:
-                raise ValueError(f"--{first} and --{second.replace('_', '-')} exclude each other: give one of the two")
 
 
 def simulate_scenario(
     *,
-    chosen: ScenarioOptions = ScenarioOptions(),
+    chosen: options.ScenarioOptions = options.ScenarioOptions(),
     strategy: options.Words = ("coordinated-piecewise",),
     example_law: options.Flag = False,
     plot: options.FigureFile | None = None,

@@ -6,11 +6,12 @@ import io
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from wtg_gym.cli import output, suites
+from wtg_gym.cli.options import ScenarioOptions
 from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
@@ -20,13 +21,8 @@ from wtg_gym.progress import Progress
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
 from wtg_gym.tasks import V0, episode
 
-if TYPE_CHECKING:
-    from wtg_gym.cli.simulate import ScenarioOptions
 
-
-def run(
-    options: "ScenarioOptions", strategies: Sequence[str], *, plot: Path | None, csv: Path | None, json: bool
-) -> int:
+def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | None, csv: Path | None, json: bool) -> int:
     """Simulate a scenario under laws, write what was asked for, and return the exit code."""
     if plot is not None:
         output.require_extra("matplotlib", "--plot")
@@ -77,7 +73,7 @@ def run(
     return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
 
 
-def _scenario(options: "ScenarioOptions", suite: Suite) -> Scenario:
+def _scenario(options: ScenarioOptions, suite: Suite) -> Scenario:
     if options.scenario is None:
         seed = suite.test[0] if options.seed is None else options.seed
         scenario = suite.scenario(seed, duration_s=options.duration)

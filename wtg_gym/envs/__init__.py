@@ -2,7 +2,7 @@
 
 from wtg_gym.envs.gfm_wtg import GFMWTGEnv
 from wtg_gym.envs.gfm_wtg_vector import GFMWTGVectorEnv
-from wtg_gym.envs.settings import EnvArguments, EnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.tasks.cost import CostWeights
 
-__all__ = ["CostWeights", "EnvArguments", "EnvSettings", "GFMWTGEnv", "GFMWTGVectorEnv"]
+__all__ = ["CostWeights", "EnvSettings", "GFMWTGEnv", "GFMWTGVectorEnv"]

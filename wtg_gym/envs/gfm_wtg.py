@@ -1,11 +1,11 @@
 """The environment: one episode at a time."""
 
 from threading import get_ident
-from typing import Any, Unpack
+from typing import Any
 
 import gymnasium as gym
 
-from wtg_gym.envs import interface, rendering, settings
+from wtg_gym.envs import interface, rendering
 from wtg_gym.signals import HeldSignals
 
 
@@ -74,7 +74,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         "render_fps": 10,
     }
 
-    def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[settings.EnvArguments]) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         self.observation_space, self.action_space = self._open(arguments, render_mode)
         self._action_shape = (self._lanes.n_action,)
 

@@ -1,7 +1,7 @@
 """The vector environment: many episodes in one compiled call."""
 
 from collections.abc import Sequence
-from typing import Any, Unpack
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -10,7 +10,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs import interface, rendering, settings
+from wtg_gym.envs import interface, rendering
 from wtg_gym.envs.lanes import EPISODES_AT_ONCE, PreparedEpisodes, TaskLanes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
@@ -116,7 +116,7 @@ class GFMWTGVectorEnv(
         max_episode_steps: int | None = None,
         n_threads: int | None = None,
         render_mode: str | None = None,
-        **arguments: Unpack[settings.EnvArguments],
+        **arguments: Any,
     ) -> None:
         self.num_envs = require_whole("num_envs", num_envs, 1, _MOST_ENVS)
         if n_threads is not None:

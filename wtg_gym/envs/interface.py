@@ -14,9 +14,9 @@ from gymnasium.envs.registration import EnvSpec
 
 from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.rendering import LaneFrames
-from wtg_gym.envs.settings import EnvArguments, EnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.layout import Floats
-from wtg_gym.ranges import require_known
+from wtg_gym.ranges import did_you_mean, require_choice, require_known
 from wtg_gym.signals import undivided
 from wtg_gym.tasks import TASKS, observation
 
@@ -95,7 +95,7 @@ class OverLanes:
     _spec: EnvSpec | None = None
 
     def _open(
-        self, arguments: EnvArguments, render_mode: str | None, n_lanes: int = 1, n_threads: int | None = None
+        self, arguments: Mapping[str, Any], render_mode: str | None, n_lanes: int = 1, n_threads: int | None = None
     ) -> "tuple[Space, Space]":
         """Make settings, lanes and frames; return the observation space and the action space of one episode.
 
@@ -106,11 +106,10 @@ class OverLanes:
             # Python's own words come first: TorchRL looks for them to find out which arguments an environment takes.
             raise TypeError(
                 f"{type(self).__name__}.__init__() got an unexpected keyword argument {unknown[0]!r}; "
-                f"known settings: {', '.join(known)}, render_mode"
+                f"known settings: {', '.join(known)}, render_mode{did_you_mean(unknown[0], known)}"
             )
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            modes = ", ".join(repr(mode) for mode in self.metadata["render_modes"])
-            raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
+        if render_mode is not None:
+            require_choice("render_mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.settings = EnvSettings(**arguments)
         self._lanes = TaskLanes(self.settings, n_lanes, n_threads)

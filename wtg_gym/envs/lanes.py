@@ -75,7 +75,7 @@ class TaskLanes:
         self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
         self.observation_names = [entry.name for entry in settings.task.entries(settings.choices)]
-        self.info_names = (*observation.Info._fields, *(observation.LocalInfo._fields if plant.extended else ()))
+        self.info_names = (*observation.INFO_KEYS, *(observation.LocalInfo._fields if plant.extended else ()))
         self.n_observation = len(self.observation_names)
         #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
         self.n_local = settings.task.n_local

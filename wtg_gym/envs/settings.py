@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike, fspath
-from typing import Any, TypedDict
+from typing import Any
 
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, file_of
 from wtg_gym.physics.parameters import WtgGroup
@@ -27,27 +27,6 @@ _CHOICES: dict[str, Sequence[str]] = {
     "on_failure": ("terminate", "trip"),
     "reward": ("score", "cost"),
 }
-
-
-class EnvArguments(TypedDict, total=False):
-    """Types of the environment's keyword arguments, for editors and type checkers; see :class:`EnvSettings`."""
-
-    strategy: str | TrackingLaw | Sequence[str | TrackingLaw]
-    action_mode: str
-    observation_mode: str
-    suite: str | Suite | None
-    grid: str | PathLike[str] | Grid | None
-    groups: int | Sequence[Mapping[str, Any] | WtgGroup] | None
-    plant: Plant | Mapping[str, Any] | None
-    split: str
-    scenario: Scenario | Mapping[str, Any] | None
-    duration_s: float | None
-    control_dt: float | None
-    reward: str | None
-    weights: Mapping[str, float] | None
-    on_failure: str | None
-    sensors: str | Mapping[str, Any] | None
-    version: str | None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,14 +21,14 @@ from wtg_gym.systems.systems import count
 from wtg_gym.tasks import V1, Task
 from wtg_gym.tasks.cost import COST, COST_TERMS
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK
-from wtg_gym.tasks.observation import INFO, Info, LocalInfo
+from wtg_gym.tasks.observation import INFO, INFO_KEYS, Info, LocalInfo
 from wtg_gym.tasks.task import Choices
 
 Observations = npt.NDArray[np.float32]
-N_INFO = len(Info._fields) + len(LocalInfo._fields)
+N_INFO = len(INFO_KEYS) + len(LocalInfo._fields)
 #: Places in `info` of the terms of the cost, and of the violated constraint.
 _N_TERMS = len(COST_TERMS)
-_FIRST_TERM, _CONSTRAINT = len(Info._fields) - _N_TERMS, Info._fields.index("cost")
+_FIRST_TERM, _CONSTRAINT = len(Info._fields), Info._fields.index("cost")
 # Every task has its lists at the same places.
 _act, _charge, _start_sensors, _measure, _observe, _end = (Routine(program).call for program in V1.programs)
 

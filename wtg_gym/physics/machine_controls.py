@@ -73,6 +73,10 @@ class StartLimits(NamedTuple):
     of: Callable[[Any], tuple[float, float]]  # limits of that state at rest, from the parameters or the constants
 
 
+class ControlKind(Kind):
+    """The kind of a control; :mod:`wtg_gym.physics.machine_models` finds it by its name."""
+
+
 class Control(NamedTuple):
     """A model of a control."""
 
@@ -82,22 +86,8 @@ class Control(NamedTuple):
     start_limits: StartLimits | None
 
 
-class _KindOfControl(Kind):
-    """A kind that a copy in another process finds by its name: its record of constants has none there."""
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _kind_named, (self.name,)
-
-
-def _kind_named(name: str) -> Kind:
-    # The list of all controls is made of what is here.
-    from wtg_gym.physics.machine_models import CONTROLS
-
-    return CONTROLS[name].kind
-
-
 def _kind(control: str, constants: Constants, state: type, **rows: Any) -> Kind:
-    return _KindOfControl(
+    return ControlKind(
         name=f"{control} {constants.parameters[-1].MODEL}",
         rows={"control": state, **rows},
         constants={"model": constants.record},

@@ -4,6 +4,7 @@ A machine's parameters say which it has (:data:`CONTROLS`). SEXS and TGOV1 are i
 governors Δω is the speed's deviation ω - 1 beyond the dead band.
 """
 
+import copyreg
 import math
 import types
 from collections.abc import Mapping, Sequence
@@ -354,6 +355,15 @@ IEESGO = controls.governor(
 CONTROLS: Mapping[str, controls.Control] = types.MappingProxyType(
     {control.kind.name: control for control in (STAB1, IEEEST, IEEEX1, HYGOV, IEEEG1, IEESGO, GAST)}
 )
+
+
+def control_kind(name: str) -> Any:
+    """Return the kind of a control, by the kind's name."""
+    return CONTROLS[name].kind
+
+
+# A copy in another process finds the kind by its name: its record of constants has none there.
+copyreg.pickle(controls.ControlKind, lambda kind: (control_kind, (kind.name,)))
 _BY_PARAMETERS = {record: control for control in CONTROLS.values() for record in control.constants.parameters}
 
 

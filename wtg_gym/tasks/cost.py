@@ -1,8 +1,9 @@
 """The cost of one control interval, term by term.
 
 The cost is a rate [1/s] times the time that passed. A term is a field of :class:`CostTerms`, a weight in
-:class:`CostWeights`, and an equation. Version v0 charges the frequency of the centre of inertia and caps the cost;
-version v1 charges that of the unit with the largest deviation, and load that is not served.
+:class:`CostWeights`, and an equation; the total and `info` take all fields. Version v0 charges the frequency of the
+centre of inertia and caps the cost; version v1 charges that of the unit with the largest deviation, and load that is
+not served.
 """
 
 import math
@@ -27,13 +28,13 @@ CONSTRAINT_FREQUENCY_HZ = 0.8
 class CostTerms(NamedTuple):
     """Terms of the cost."""
 
-    frequency: float
-    rocof: float
-    duty: float
-    rotor: float
-    overload: float
-    effort: float
-    failure: float
+    frequency: float = 0.0  # deviation of the frequency, in v1 the largest of any unit
+    rocof: float = 0.0  # rate of change of frequency
+    duty: float = 0.0  # captured minus prescribed power, in v1 filtered with 15 s
+    rotor: float = 0.0  # tip-speed ratio outside its range
+    overload: float = 0.0  # power above 1.05 p.u., in v0 1.1 p.u.
+    effort: float = 0.0  # actions and their changes
+    failure: float = 0.0  # failure at the end; in v1 also load not served
 
 
 COST_TERMS = CostTerms._fields
@@ -168,14 +169,10 @@ def _effort(action: float, last: float) -> float:
 
 def _capped(terms: CostTerms, elapsed: float, most: float) -> CostTerms:
     """Return what rates cost in a time that passed [s], all scaled alike so that their sum is at most `most` [1/s]."""
-    total = _total(terms)
+    total = sum(terms)
     factor = elapsed * select(total > 0.0, min(total, most) / total, 1.0)
     charged: CostTerms = each(lambda rate: rate * factor, terms)
     return charged
-
-
-def _total(terms: CostTerms) -> float:
-    return terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort + terms.failure
 
 
 @system(COST, "term_rates", "interval_cost")
@@ -184,7 +181,7 @@ def charge_frequency(
 ) -> tuple[CostTerms, IntervalCost]:
     """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
     deviation, ratio = abs(coi - 1.0), task_rocof / 0.2
-    rates = CostTerms(_frequency_cost(deviation, task, weights), weights.rocof * (ratio * ratio), *[0.0] * 5)
+    rates = CostTerms(_frequency_cost(deviation, task, weights), weights.rocof * (ratio * ratio))
     # A run can end within the interval: the time after that is the failure's.
     unspent = math.ceil(step / task.n_substeps) * task.n_substeps - step
     violated = select(deviation * task.nominal_hz > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0)
@@ -341,7 +338,7 @@ def charge_open_interval(
     rates = _capped(term_rates._replace(frequency=0.0), 1.0, weights.cap)
     missed = weights.unserved * min(unserved * task.inv_load, 1.0)
     charged = _capped(rates._replace(frequency=term_rates.frequency, failure=missed), elapsed, weights.failure)
-    missing, failed = weights.failure * (end_step * simulation_dt + 1.0) - _total(sums), status != 0.0
+    missing, failed = weights.failure * (end_step * simulation_dt + 1.0) - sum(sums), status != 0.0
     kept: CostTerms = each(lambda term: select(failed, 0.0, term), charged)
     return kept._replace(failure=select(failed, missing, charged.failure))
 
@@ -363,7 +360,7 @@ def charge_lane(
     return (
         each(lambda charged, before: select(ran, charged, before), new_terms, terms),
         each(lambda charged, total: total + select(ran, charged, 0.0), new_terms, sums),
-        _total(new_terms),
+        sum(new_terms),
         select(ran, violated, constraint),
         constraint_sum + select(ran, violated, 0.0),
         duty_error + select(ran, interval_cost.error * interval_cost.elapsed, 0.0),

@@ -16,7 +16,7 @@ from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, fr
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import clip
 from wtg_gym.systems.systems import Kind, each, system
-from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
+from wtg_gym.tasks.cost import COST, COST_TERMS, FILTERED_DUTY, CostTerms
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK, GroupRows, Reach, TaskConstants
 
 OBSERVATION_MODES = ("local", "privileged")
@@ -192,7 +192,7 @@ def observe_grid(
 
 
 class Info(NamedTuple):
-    """The numbers of `info`, with their units and meanings."""
+    """The numbers of `info`, with their units and meanings; the terms of the cost follow."""
 
     time_s: Annotated[float, "s", "time since the start of the episode"]
     frequency_hz: Annotated[float, "Hz", "frequency of the centre of inertia"]
@@ -203,13 +203,6 @@ class Info(NamedTuple):
         "1 for a step with a failure, an overload, a frequency beyond 50 ± 0.8 Hz or a tip-speed ratio outside its "
         "range, else 0",
     ]
-    cost_frequency: Annotated[float, "-", "cost of this step: frequency deviation, in v1 the largest of any unit"]
-    cost_rocof: Annotated[float, "-", "rate of change of frequency"]
-    cost_duty: Annotated[float, "-", "captured minus prescribed power, in v1 filtered with 15 s"]
-    cost_rotor: Annotated[float, "-", "tip-speed ratio outside its range"]
-    cost_overload: Annotated[float, "-", "power above 1.05 p.u., in v0 1.1 p.u."]
-    cost_effort: Annotated[float, "-", "actions and their changes"]
-    cost_failure: Annotated[float, "-", "failure at the end; in v1 also load not served"]
 
 
 class LocalInfo(NamedTuple):
@@ -219,14 +212,16 @@ class LocalInfo(NamedTuple):
     shed_energy_mws: Annotated[float, "MW s", "load not served since the start, at 1 p.u. of voltage"]
 
 
+#: Keys of `info` for every step; those of :class:`LocalInfo` follow.
+INFO_KEYS = (*Info._fields, *(f"cost_{term}" for term in COST_TERMS))
 INFO = Kind(
     name="information",
-    scratch={"info": Info, "local_info": LocalInfo},  # the second follows the first
+    scratch={"info": Info, "info_terms": CostTerms, "local_info": LocalInfo},  # each follows the one before
     sees={"cost": COST, "task": TASK, "lane": LANE},
 )
 
 
-@system(INFO, "info")
+@system(INFO, "info", "info_terms")
 def inform(
     step: float,
     coi: float,
@@ -235,9 +230,8 @@ def inform(
     terms: CostTerms,
     task: TaskConstants,
     simulation_dt: float,
-) -> Info:
-    """Return the numbers of `info`; its last are the terms of the cost, in their order."""
-    return Info(step * simulation_dt, task.nominal_hz * coi, task_rocof, constraint, *terms)
+) -> tuple[Info, CostTerms]:
+    return Info(step * simulation_dt, task.nominal_hz * coi, task_rocof, constraint), terms
 
 
 @system(INFO, "local_info", when="extended")
