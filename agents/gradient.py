@@ -83,14 +83,26 @@ class GradientPolicy(nn.Module):
         #: Widths of the states: hidden and cell of the LSTM.
         self.state_widths = (lstm, lstm) if lstm else ()
 
-    def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
-        """Return the actions (n_lanes, n_action) and the next states; none are given before the first step."""
+    @property
+    def last(self) -> nn.Linear:
+        """The last layer, before its tanh."""
+        layer = self.layers[-2]
+        assert isinstance(layer, nn.Linear)
+        return layer
+
+    def features(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        """Return what the last layer sees (n_lanes, n) and the next states; none are given before the first step."""
         observations = observations[:, : self._n_observation]
         if self.lstm is None:
-            return (self.layers(observations),)
+            return (self.layers[:-2](observations),)
         before = tuple(state[None] for state in states) or None
         (seen,), (hidden, cell) = self.lstm(observations[None], before)
-        return self.layers(seen), hidden[0], cell[0]
+        return self.layers[:-2](seen), hidden[0], cell[0]
+
+    def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        """Return the actions (n_lanes, n_action) and the next states."""
+        features, *following = self.features(observations, *states)
+        return (self.layers[-2:](features), *following)
 
     def of_episodes(self, observations: Tensor) -> Tensor:
         """Return the actions of whole episodes (n_steps, n_lanes, n_action), from their observations."""
