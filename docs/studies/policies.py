@@ -3,7 +3,7 @@
     python docs/studies/policies.py
 
 prints them. To tune one of your own, call `tune_law` or `tune_gains`; each takes ten minutes at most on two
-processors. The feedbacks of agents/policies come from agents.evolution.
+processors.
 """
 
 from __future__ import annotations
