@@ -23,7 +23,7 @@ from agents.gradient import GradientPolicy, descend
 from agents.planner import Floats, Planner, PlannerOptions, drive
 from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import design
 
@@ -97,21 +97,21 @@ class DaggerLearner(runs.SavedParts):
 
 
 def observe(
-    planner: Planner, lanes: TaskLanes, scenarios: Sequence[Scenario], plans: Plans, driver: Callable[[Floats], Floats]
+    planner: Planner, batch: EnvBatch, scenarios: Sequence[Scenario], plans: Plans, driver: Callable[[Floats], Floats]
 ) -> None:
     """Let a driver play episodes, and add what was seen and planned in them to the plans."""
     steps: tuple[list[Any], ...] = ([], [], [])
 
     def seen_driver(plan: Floats) -> Floats:
-        terminated, truncated = lanes.ended()
-        seen, planned = (each.reshape(lanes.n_lanes, lanes.n_wtg, -1).copy() for each in (lanes.observations, plan))
+        terminated, truncated = batch.ended()
+        seen, planned = (each.reshape(batch.num_envs, batch.n_wtg, -1).copy() for each in (batch.observations, plan))
         running = ~(terminated | truncated)[:, np.newaxis]
-        counts = running & (lanes.simulator.wtg_values("connected") > 0.5)
+        counts = running & (batch.simulator.wtg_values("connected") > 0.5)
         for kept, now in zip(steps, (seen, planned, counts), strict=True):
             kept.append(now)
         return driver(plan)
 
-    drive(planner, lanes, scenarios, seen_driver)
+    drive(planner, batch, scenarios, seen_driver)
     plans.add(*steps)
 
 
@@ -129,13 +129,13 @@ def disturbed(noise: float, step_s: float, rng: np.random.Generator) -> Callable
     return driver
 
 
-def driven_by(policy: GradientPolicy, lanes: TaskLanes) -> Callable[[Floats], Floats]:
+def driven_by(policy: GradientPolicy, batch: EnvBatch) -> Callable[[Floats], Floats]:
     """Return a driver that takes the policy's actions."""
     states: list[Tensor] = []
 
     def driver(plan: Floats) -> Floats:
         with torch.no_grad():
-            seen = torch.from_numpy(lanes.observations.reshape(lanes.n_lanes * lanes.n_wtg, -1).copy())
+            seen = torch.from_numpy(batch.observations.reshape(batch.num_envs * batch.n_wtg, -1).copy())
             answer, *states[:] = policy(seen, *states)
         actions: Floats = answer.reshape(plan.shape).double().numpy()
         return actions
@@ -146,19 +146,19 @@ def driven_by(policy: GradientPolicy, lanes: TaskLanes) -> Callable[[Floats], Fl
 def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
     """Return the learner of a run, and its rounds."""
     environment = EnvSettings(**settings.env_arguments, reward="cost")
-    lanes = TaskLanes(environment, settings.n_envs)
+    batch = EnvBatch(environment, settings.n_envs)
     planner = Planner(environment, settings.n_envs, h)
     # Last actions come after what is measured. A policy that sees them learns to repeat them.
-    policy = GradientPolicy(lanes.n_local, lanes.n_action // lanes.n_wtg, h.hidden, h.lstm)
+    policy = GradientPolicy(batch.n_local, batch.n_action // batch.n_wtg, h.hidden, h.lstm)
     policy.per_group = True
     learner = DaggerLearner(policy)
 
     def learn(scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
-        driver = driven_by(policy, lanes) if index else disturbed(h.noise, environment.step_s, rng)
-        observe(planner, lanes, scenarios, learner.plans, driver)
+        driver = driven_by(policy, batch) if index else disturbed(h.noise, environment.step_s, rng)
+        observe(planner, batch, scenarios, learner.plans, driver)
         return learner.fit(h, rng)
 
-    return runs.Rounds(learner, lanes, planner.n_steps * settings.n_envs, learn)
+    return runs.Rounds(learner, batch, planner.n_steps * settings.n_envs, learn)
 
 
 main = runs.main_in_rounds(

@@ -23,7 +23,7 @@ from agents import run as runs
 from agents.gradient import GradientPolicy
 from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.files import interpreting, read_bytes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies.entry_folder import POLICY_FILE, load_entry_folder
@@ -83,7 +83,7 @@ class Population:
     """Candidates that play the same training scenarios side by side."""
 
     def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int) -> None:
-        self.lanes = TaskLanes(replace(settings, reward="cost"), n_scenarios * n_candidates)
+        self.batch = EnvBatch(replace(settings, reward="cost"), n_scenarios * n_candidates)
         self._shape = n_candidates, n_scenarios
 
     def objectives(self, policy: GradientPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
@@ -91,22 +91,22 @@ class Population:
 
         Candidates are weights of the last layer, then its biases (n_candidates, n).
         """
-        lanes, (n, n_scenarios), last = self.lanes, self._shape, policy.last
+        batch, (n, n_scenarios), last = self.batch, self._shape, policy.last
         for candidate in range(n):
             first = candidate * n_scenarios
-            lanes.start(range(first, first + n_scenarios), scenarios)
+            batch.start(range(first, first + n_scenarios), scenarios)
         vectors = torch.from_numpy(candidates).float()
         weights = vectors[:, : last.weight.numel()].reshape(n, *last.weight.shape).mT
         biases, states = vectors[:, None, last.weight.numel() :], list[Tensor]()
         with torch.no_grad():
-            for _ in range(lanes.n_steps_of_episode):
-                seen = torch.from_numpy(lanes.observations).reshape(lanes.n_lanes * lanes.n_wtg, -1)
+            for _ in range(batch.n_steps_of_episode):
+                seen = torch.from_numpy(batch.observations).reshape(batch.num_envs * batch.n_wtg, -1)
                 features, *states = policy.features(seen, *states)
                 actions = torch.tanh(features.reshape(n, -1, last.in_features) @ weights + biases)
-                lanes.step(np.ascontiguousarray(actions.reshape(lanes.n_lanes, -1).numpy(), dtype=np.float64))
-        offsets = np.array([lanes.suite.cost_offset(scenario) for scenario in scenarios])
-        costs = lanes.cost_sums().sum(axis=1).reshape(self._shape)
-        values: Floats = (np.log(costs + offsets) / (lanes.suite.task.scale or 1.0)).mean(axis=1)
+                batch.step(np.ascontiguousarray(actions.reshape(batch.num_envs, -1).numpy(), dtype=np.float64))
+        offsets = np.array([batch.suite.cost_offset(scenario) for scenario in scenarios])
+        costs = batch.cost_sums().sum(axis=1).reshape(self._shape)
+        values: Floats = (np.log(costs + offsets) / (batch.suite.task.scale or 1.0)).mean(axis=1)
         return values
 
 
@@ -176,11 +176,11 @@ class EvolutionLearner:
 def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
     """Return the learner of a run, and its rounds."""
     population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population)
-    lanes = population.lanes
+    batch = population.batch
     if h.start:
         policy = read_policy(Path(h.start), settings)
     else:
-        policy = GradientPolicy(lanes.n_observation // lanes.n_wtg, lanes.n_action // lanes.n_wtg, h.hidden, h.lstm)
+        policy = GradientPolicy(batch.n_observation // batch.n_wtg, batch.n_action // batch.n_wtg, h.hidden, h.lstm)
     policy.per_group = True
     learner = EvolutionLearner(policy, settings.seed, h)
 
@@ -190,7 +190,7 @@ def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
         learner.tell(candidates, objectives)
         return float(objectives.mean())
 
-    return runs.Rounds(learner, lanes, lanes.n_steps_of_episode * settings.n_envs * h.population, learn)
+    return runs.Rounds(learner, batch, batch.n_steps_of_episode * settings.n_envs * h.population, learn)
 
 
 main = runs.main_in_rounds(

@@ -91,7 +91,7 @@ class GradientPolicy(nn.Module):
         return layer
 
     def features(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
-        """Return what the last layer sees (n_lanes, n) and the next states; none are given before the first step."""
+        """Return what the last layer sees (num_envs, n) and the next states; none are given before the first step."""
         observations = observations[:, : self._n_observation]
         if self.lstm is None:
             return (self.layers[:-2](observations),)
@@ -100,12 +100,12 @@ class GradientPolicy(nn.Module):
         return self.layers[:-2](seen), hidden[0], cell[0]
 
     def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
-        """Return the actions (n_lanes, n_action) and the next states."""
+        """Return the actions (num_envs, n_action) and the next states."""
         features, *following = self.features(observations, *states)
         return (self.layers[-2:](features), *following)
 
     def of_episodes(self, observations: Tensor) -> Tensor:
-        """Return the actions of whole episodes (n_steps, n_lanes, n_action), from their observations."""
+        """Return the actions of whole episodes (n_steps, num_envs, n_action), from their observations."""
         observations = observations[..., : self._n_observation]
         actions: Tensor = self.layers(observations if self.lstm is None else self.lstm(observations)[0])
         return actions
@@ -122,7 +122,7 @@ class Failures:
     """
 
     def __init__(self, episodes: TorchEpisodes) -> None:
-        settings = episodes.tape.lanes.settings
+        settings = episodes.tape.batch.settings
         plant, weights = settings.resolved_plant, settings.cost_weights()
         names = list(episodes.tape.output_names)
         ends = [(names.index("frequency_pu"), plant.protection.frequency_min_pu, FREQUENCY_SPREAD_PU)]
@@ -143,11 +143,11 @@ class Failures:
         self._cost = pinned_cost(0.0, failed=True, duration_s=settings.episode_duration_s(), cap=rate)
 
     def watched(self, outputs: Tensor) -> Tensor:
-        """Return the outputs that failures depend on, (n_lanes, n), of all outputs of a step."""
+        """Return the outputs that failures depend on, (num_envs, n), of all outputs of a step."""
         return outputs[:, self._columns]
 
     def costs(self, terms: Tensor, least: Tensor) -> Tensor:
-        """Return costs (n_lanes,), from the sums of their terms and the least of what is watched (n_lanes, n)."""
+        """Return costs (num_envs,), from the sums of their terms and the least of what is watched (num_envs, n)."""
         safe = torch.sigmoid((least - self._limits) / self._spreads - 1.0)
         survives, keeps = safe[:, : self._n_ends].prod(dim=1), safe[:, self._n_ends :]
         spent = terms.sum(dim=1) - torch.where(survives < 0.5, terms[:, _FAILURE], 0.0)
@@ -159,7 +159,7 @@ class Failures:
 def costs_of(
     episodes: TorchEpisodes, policy: GradientPolicy, scenarios: Sequence[Scenario], n_steps: int, failures: Failures
 ) -> tuple[Tensor, Tensor]:
-    """Return what the first steps of a scenario in every lane cost, and how far actions stray there, both (n_lanes,).
+    """Return what the first steps of a scenario in every environment cost, and how far actions stray (num_envs,).
 
     Where load is shed, a little support more only puts that off. The gradient knows no timing and would mislead: there
     costs have none, and what strays is the mean square of the actions, which begin at the law's.
@@ -167,7 +167,7 @@ def costs_of(
     observations = episodes.start(scenarios)
     states, spent, watched, most = list[Tensor](), [], [], MAX_ACTION_GRADIENT / len(scenarios)
     served, strays = torch.ones(len(scenarios), dtype=torch.bool), torch.zeros(len(scenarios))
-    n_rows = len(scenarios) * (episodes.tape.lanes.n_wtg if policy.per_group else 1)
+    n_rows = len(scenarios) * (episodes.tape.batch.n_wtg if policy.per_group else 1)
     for _ in range(n_steps):
         answer, *states = policy(observations.reshape(n_rows, -1), *states)
         actions = answer.reshape(len(scenarios), -1)
@@ -212,24 +212,24 @@ class GradientLearner(runs.SavedParts):
 def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
     """Return the learner of a run, and its rounds."""
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
-    lanes = episodes.tape.lanes
+    batch = episodes.tape.batch
     failures = Failures(episodes)
-    n_parts = lanes.n_wtg if h.per_group else 1
-    policy = GradientPolicy(lanes.n_observation // n_parts, lanes.n_action // n_parts, h.hidden, h.lstm)
+    n_parts = batch.n_wtg if h.per_group else 1
+    policy = GradientPolicy(batch.n_observation // n_parts, batch.n_action // n_parts, h.hidden, h.lstm)
     policy.per_group = h.per_group
     learner = GradientLearner(policy, h)
-    n_steps = lanes.n_steps_of_episode
+    n_steps = batch.n_steps_of_episode
 
     def learn(scenarios: Sequence[Scenario], _rng: np.random.Generator, index: int, n_batches: int) -> float:
         fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
         learner.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
         costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
-        loss = loss_of(costs, lanes.suite, scenarios, h.mean_weight) + STRAY_WEIGHT * strays.mean()
+        loss = loss_of(costs, batch.suite, scenarios, h.mean_weight) + STRAY_WEIGHT * strays.mean()
         value = descend(policy, learner.optimizer, loss, h.max_grad_norm)
         learner.average.update_parameters(policy)
         return value
 
-    return runs.Rounds(learner, lanes, n_steps * settings.n_envs, learn)
+    return runs.Rounds(learner, batch, n_steps * settings.n_envs, learn)
 
 
 main = runs.main_in_rounds(

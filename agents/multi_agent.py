@@ -1,7 +1,7 @@
 """Independent PPO with shared parameters, "ippo" of `agents.train`: an agent per WTG group, one policy for all of them.
 
-De Witt et al., "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?", 2020. Every agent is a
-lane of its own for Stable-Baselines3, which knows single agents alone. It sees what its group measures, its last
+De Witt et al., "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?", 2020. Every agent is an
+environment of its own for Stable-Baselines3, which knows single agents alone. It sees what its group measures, its last
 action, and its size: every group's duty counts alike in the cost, but a large one moves the frequency by more.
 """
 
@@ -32,7 +32,7 @@ def group_sizes(settings: EnvSettings) -> Array:
 
 
 def agent_env(settings: RunSettings) -> "AgentVecEnv":
-    """Return the lanes that a run learns in; a ValueError if they are no multiple of the groups or not local."""
+    """Return the environments that a run learns in; a ValueError if they are no multiple of the groups or not local."""
     if settings.observation_mode != "local":
         raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out --observation-mode")
     n_wtg = group_sizes(EnvSettings(**settings.env_arguments)).size
@@ -42,17 +42,17 @@ def agent_env(settings: RunSettings) -> "AgentVecEnv":
 
 
 class AgentVecEnv(VecEnvWrapper):
-    """A batch of episodes with a lane for every agent: lane i is WTG group i % n_wtg of episode i // n_wtg.
+    """A batch with an environment for every agent: environment i is WTG group i % n_wtg of episode i // n_wtg.
 
     All agents of an episode earn its reward and end together.
     """
 
     def __init__(self, venv: SB3VecEnv) -> None:
-        lanes = venv.lanes
-        self.n_wtg = lanes.n_wtg
-        self._sizes = group_sizes(lanes.settings)
-        n_modes = lanes.n_action // self.n_wtg
-        bound = np.full(lanes.n_local + n_modes + 1, OBSERVATION_BOUND, dtype=np.float32)
+        batch = venv.batch
+        self.n_wtg = batch.n_wtg
+        self._sizes = group_sizes(batch.settings)
+        n_modes = batch.n_action // self.n_wtg
+        bound = np.full(batch.n_local + n_modes + 1, OBSERVATION_BOUND, dtype=np.float32)
         high = np.ones(n_modes, dtype=np.float32)
         super().__init__(venv, Box(-bound, bound), Box(-high, high))
         self.num_envs = venv.num_envs * self.n_wtg
@@ -72,7 +72,7 @@ class AgentVecEnv(VecEnvWrapper):
         self.venv.step_async(np.asarray(actions).reshape(self.venv.num_envs, -1))
 
     def step_wait(self) -> tuple[Array, Array, Array, Infos]:
-        """Hold the actions for one control interval; returns observations, rewards, dones and infos of the lanes."""
+        """Hold the actions for one control interval; returns observations, rewards, dones and infos."""
         observations, rewards, dones, infos = self.venv.step_wait()
         of_agents = [info for step_infos in infos for info in self._infos(step_infos)]
         return self._split(observations), np.repeat(rewards, self.n_wtg), np.repeat(dones, self.n_wtg), of_agents

@@ -26,7 +26,7 @@ from agents import run as runs
 from agents.gradient import Failures
 from agents.run import Whole
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import SERIES_DT, Event, LoadRamp, Scenario
@@ -90,9 +90,9 @@ def without_foresight(scenario: Scenario, time_s: float, longer_s: float) -> Sce
 class Futures:
     """Draws how scenarios of an environment may go on: as other training scenarios do."""
 
-    def __init__(self, lanes: TaskLanes) -> None:
-        self._lanes, suite = lanes, lanes.suite
-        self._others = lanes.scenarios(suite.train[:_N_OTHERS]) if suite.distributions else []
+    def __init__(self, batch: EnvBatch) -> None:
+        self._batch, suite = batch, batch.suite
+        self._others = batch.scenarios(suite.train[:_N_OTHERS]) if suite.distributions else []
         self._least_margin = min((low for low, _ in suite.margins.values()), default=-math.inf)
 
     def draw(self, scenario: Scenario, time_s: float, rng: np.random.Generator) -> Scenario:
@@ -108,10 +108,10 @@ class Futures:
             events = scenario.events + tuple(event for event in other.events if event.time_s > time_s)
             try:
                 future = replace(scenario, wind_speed=wind, events=events, reserve_margin=None)
-                margin = self._lanes.suite.margin(future, self._lanes.settings.resolved_plant)
+                margin = self._batch.suite.margin(future, self._batch.settings.resolved_plant)
                 # NaN where a suite has no margins.
                 if not margin < self._least_margin:
-                    self._lanes.prepare([future])
+                    self._batch.prepare([future])
                     return future
             except ValueError:
                 pass  # The wind is beyond its range, or what has happened would happen again: a line opens once.
@@ -124,7 +124,7 @@ class Planner:
     def __init__(
         self,
         settings: EnvSettings,
-        n_lanes: int,
+        num_envs: int,
         options: PlannerOptions = PlannerOptions(),
         n_threads: int | None = None,
     ) -> None:
@@ -133,15 +133,15 @@ class Planner:
         #: Of futures that are played for one episode, next to one another.
         self._n_futures = options.futures or 1
         longer = replace(settings, duration_s=length_s + options.horizon_s, reward="cost")
-        self._episodes = TorchEpisodes(longer, self._n_futures * n_lanes, n_threads)
-        lanes = self._episodes.tape.lanes
-        self._failures, self._futures = Failures(self._episodes), Futures(lanes)
-        self._suite, self._plant = lanes.suite, settings.resolved_plant
+        self._episodes = TorchEpisodes(longer, self._n_futures * num_envs, n_threads)
+        batch = self._episodes.tape.batch
+        self._failures, self._futures = Failures(self._episodes), Futures(batch)
+        self._suite, self._plant = batch.suite, settings.resolved_plant
         #: Control steps of an episode, and between two plans.
         self.n_steps = whole_steps("duration_s", length_s, self._step_s, "control step")
         self.n_between = whole_steps("interval_s", options.interval_s, self._step_s, "control step")
         n_knots = round((length_s + options.horizon_s) / options.knot_s) + 2
-        self._knots_shape = (n_knots, n_lanes, lanes.n_action)
+        self._knots_shape = (n_knots, num_envs, batch.n_action)
 
     def start(self, scenarios: Sequence[Scenario]) -> None:
         """Begin episodes of one scenario each."""
@@ -149,11 +149,11 @@ class Planner:
         self._knots = torch.zeros(self._knots_shape, dtype=torch.float64)
 
     def take(self, actions: Floats) -> None:
-        """Tell the planner the actions of a step that was made (n_lanes, n_action)."""
+        """Tell the planner the actions of a step that was made (num_envs, n_action)."""
         self._taken.append(torch.tensor(actions, dtype=torch.float64))
 
     def plan(self) -> Floats:
-        """Return actions from now until the next plan (n_between, n_lanes, n_action).
+        """Return actions from now until the next plan (n_between, num_envs, n_action).
 
         Of all iterations a scenario gets the actions with the best predicted score, the mean over its futures.
         """
@@ -161,7 +161,7 @@ class Planner:
         scenarios = [future for scenario in self._scenarios for future in self._foreseen(scenario)]
         offsets = torch.tensor([self._suite.cost_offset(each, self._plant) for each in scenarios], dtype=torch.float64)
         spent = self._play_past(scenarios)
-        now = self._episodes.tape.lanes.snapshot()
+        now = self._episodes.tape.batch.snapshot()
         best = self._knots.repeat_interleave(self._n_futures, dim=1)
         lowest = torch.full((len(self._scenarios), 1), torch.inf, dtype=torch.float64)
         knots = best.clone().requires_grad_(True)
@@ -210,7 +210,7 @@ class Planner:
         return torch.stack(terms).sum(dim=0), torch.stack(watched).amin(dim=0)
 
     def _by_episode(self, values: Tensor) -> Tensor:
-        """Return values of all futures (n_knots, n, n_action) as (n_knots, n_lanes, n_futures, n_action)."""
+        """Return values of all futures (n_knots, n, n_action) as (n_knots, num_envs, n_futures, n_action)."""
         return values.reshape(len(values), -1, self._n_futures, values.shape[2])
 
     def _action(self, knots: Tensor, step: int) -> Tensor:
@@ -232,23 +232,23 @@ class Planner:
 
 def drive(
     planner: Planner,
-    lanes: TaskLanes,
+    batch: EnvBatch,
     scenarios: Sequence[Scenario],
     driver: Callable[[Floats], Floats] = lambda plan: plan,
     on_progress: Callable[[int, int], None] = lambda done, n: None,
 ) -> Floats:
-    """Play a scenario in each of the lanes, and return the actions that were taken (n_steps, n_lanes, n_action).
+    """Play a scenario in each environment, and return the actions that were taken (n_steps, num_envs, n_action).
 
-    The driver returns those of a step (n_lanes, n_action), like the plan that it gets. `on_progress` is called with the
+    The driver returns those of a step (num_envs, n_action), like the plan that it gets. `on_progress` is called with
     steps done, and all.
     """
     planner.start(scenarios)
-    lanes.start(range(lanes.n_lanes), scenarios)
+    batch.start(range(batch.num_envs), scenarios)
     taken: list[Floats] = []
     while len(taken) < planner.n_steps:
         for plan in planner.plan()[: planner.n_steps - len(taken)]:
             actions = np.ascontiguousarray(np.clip(driver(plan), -1.0, 1.0))
-            lanes.step(actions)
+            batch.step(actions)
             planner.take(actions)
             taken.append(actions)
         on_progress(len(taken), planner.n_steps)
@@ -256,7 +256,7 @@ def drive(
 
 
 class Course:
-    """A policy whose actions are fixed in advance (n_steps, n_lanes, n_action), for one batch of the same episodes."""
+    """A policy whose actions are fixed in advance (n_steps, num_envs, n_action), for one batch of the same episodes."""
 
     def __init__(self, actions: Floats) -> None:
         self._actions = actions
@@ -277,8 +277,8 @@ def planned(
 ) -> Entry:
     """Return an entry that plays the planner's actions in validation scenarios of these seeds, in one batch."""
     settings = EnvSettings(suite=suite, split="validation", strategy=strategy, action_mode="k", reward="cost")
-    lanes = TaskLanes(settings, len(seeds))
-    actions = drive(Planner(settings, len(seeds), options), lanes, lanes.scenarios(seeds), on_progress=on_progress)
+    batch = EnvBatch(settings, len(seeds))
+    actions = drive(Planner(settings, len(seeds), options), batch, batch.scenarios(seeds), on_progress=on_progress)
     return Entry(
         name="planner",
         description="Plans by gradients from the exact state, without foresight.",

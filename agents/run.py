@@ -27,7 +27,7 @@ from filelock import FileLock, Timeout
 from torch import nn
 
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import Entry, circumstances, evaluate
 from wtg_gym.files import interpreting, one_line, read_json, to_json, trusted_files, write_atomically
 from wtg_gym.physics import scenario, tracking_law
@@ -351,9 +351,9 @@ class Run(Checked):
 
 def _exported(learner: Learner, settings: RunSettings) -> bytes:
     """Return the file of a policy as ONNX."""
-    lanes, network = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1), learner.network
-    n_parts = lanes.n_wtg if _per_group(network) else 1
-    return onnx_bytes(network, lanes.n_observation // n_parts, lanes.n_action // n_parts, tolerance=_TOLERANCE)
+    batch, network = EnvBatch(EnvSettings(**settings.env_arguments), 1, 1), learner.network
+    n_parts = batch.n_wtg if _per_group(network) else 1
+    return onnx_bytes(network, batch.n_observation // n_parts, batch.n_action // n_parts, tolerance=_TOLERANCE)
 
 
 def _per_group(network: nn.Module) -> bool:
@@ -378,13 +378,13 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
     }
 
 
-def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[scenario.Scenario]:
+def draw(batch: EnvBatch, rng: np.random.Generator, n_scenarios: int) -> list[scenario.Scenario]:
     """Return training scenarios; of strata their seeds follow one another: three hold one of each."""
-    if not lanes.suite.strata:
-        return lanes.draw([rng] * n_scenarios)
-    seeds = lanes.suite.train
+    if not batch.suite.strata:
+        return batch.draw([rng] * n_scenarios)
+    seeds = batch.suite.train
     first = int(rng.integers(seeds.start, seeds.stop - n_scenarios))
-    return lanes.scenarios(range(first, first + n_scenarios))
+    return batch.scenarios(range(first, first + n_scenarios))
 
 
 @options
@@ -466,7 +466,7 @@ class Rounds(NamedTuple):
     """A learner and the rounds of equally many steps in which it learns."""
 
     learner: RoundLearner
-    lanes: TaskLanes  # whose training scenarios it learns from
+    batch: EnvBatch  # whose training scenarios it learns from
     timesteps: int  # of a round
     #: Learns from the scenarios of a round, its generator, its index, and how many rounds there are; returns the loss.
     learn: Callable[[list[scenario.Scenario], np.random.Generator, int, int], float]
@@ -487,7 +487,7 @@ def main_in_rounds(
         # Sums over several threads depend on which of them ends first.
         torch.set_num_threads(1)
         torch.manual_seed(settings.seed)
-        learner, lanes, timesteps, learn = rounds(settings, run.hyperparameters(record))
+        learner, batch, timesteps, learn = rounds(settings, run.hyperparameters(record))
         n_rounds, first = -(-settings.timesteps // timesteps), 0
         if saved := run.checkpoint:
             first = int(saved.name) // timesteps
@@ -498,7 +498,7 @@ def main_in_rounds(
                 run.take_stock(learner, index * timesteps)
                 # Of its own, so that a resumed run draws what an undisturbed one would have drawn.
                 rng = np.random.default_rng((settings.seed, index))
-                value = learn(draw(lanes, rng, settings.n_envs), rng, index, n_rounds)
+                value = learn(draw(batch, rng, settings.n_envs), rng, index, n_rounds)
                 progress.update(f"objective {value:.3f}, {run.title}", index + 1 - first, n_rounds - first)
         run.take_stock(learner, n_rounds * timesteps, finished=True)
 

@@ -78,7 +78,7 @@ class DistilledLaw:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_wtg) on k in [-1, 1], filtered quantities (n_lanes, n_wtg, 3))."""
+        """Return (actions (num_envs, n_wtg) on k in [-1, 1], filtered quantities (num_envs, n_wtg, 3))."""
         seen = of_groups(np.asarray(observation, dtype=np.float64), MeasuredObservation, "k")
         if state is not None and episode_start is not None:
             fresh = np.asarray(episode_start, dtype=bool)[:, np.newaxis, np.newaxis]

@@ -40,7 +40,7 @@ class FastDroop:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_wtg) on k in [-1, 1], no state)."""
+        """Return (actions (num_envs, n_wtg) on k in [-1, 1], no state)."""
         seen = of_groups(np.asarray(observation, dtype=np.float64), MeasuredObservation, "k")
         deviation_hz = FREQUENCY_UNIT_HZ * seen.frequency_deviation
         return np.clip(-deviation_hz / self.full_action_hz, -1.0, 1.0), state

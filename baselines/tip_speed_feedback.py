@@ -53,7 +53,7 @@ class TipSpeedFeedback:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_wtg) on k in [-1, 1], no state)."""
+        """Return (actions (num_envs, n_wtg) on k in [-1, 1], no state)."""
         seen = of_groups(np.asarray(observation, dtype=np.float64), WtgObservation, "k")
         target = np.interp(FREQUENCY_UNIT_HZ * seen.frequency_deviation, self._deviation_hz, self._target)
         return np.clip(self._gain * (seen.tip_speed_ratio - target), -1.0, 1.0), state

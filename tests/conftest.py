@@ -60,8 +60,8 @@ def simulator():
 @pytest.fixture
 def few_scenarios(monkeypatch):
     """The gate plays few scenarios, since each needs a session; tests/submissions tests what it finds in all."""
-    monkeypatch.setattr("wtg_gym.policies.gate._ROLLOUT_LANES", 8)
-    monkeypatch.setattr("wtg_gym.policies.gate._TIMED_LANES", 16)
+    monkeypatch.setattr("wtg_gym.policies.gate._ROLLOUT_ENVS", 8)
+    monkeypatch.setattr("wtg_gym.policies.gate._TIMED_ENVS", 16)
 
 
 @pytest.fixture

@@ -88,7 +88,7 @@ def test_pickles_and_copies_do_the_same_to_the_last_bit(kind):
 
 
 def steps_of(env, actions: np.ndarray, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **reset):
-    """Return the steps of a single environment in a list of one, or of every lane of a batch."""
+    """Return the steps of a single environment in a list of one, or of every environment of a batch."""
     if isinstance(env, GFMWTGEnv):
         return [single_steps(env, actions[:, 0, : env.action_space.shape[0]], mode, **reset)]
     return vector_steps(env, actions[:, : env.num_envs, : env.single_action_space.shape[0]], **reset)
@@ -105,21 +105,21 @@ def test_copies_of_a_running_environment_go_on_alike_through_later_resets(settin
     assert min(n_resets(steps) for steps in one) >= 2
     for twin in twins:
         assert one == steps_of(twin, AFTER)
-        assert mode is None or twin.lanes.simulator.blocks.ctypes.data % 64 == 0, "blocks begin at a cache line"
+        assert mode is None or twin.batch.simulator.blocks.ctypes.data % 64 == 0, "blocks begin at a cache line"
 
 
-@pytest.mark.parametrize("n_lanes", [None, 17])
-def test_snapshot_branches_as_often_as_asked_whatever_is_played_between(n_lanes):
+@pytest.mark.parametrize("num_envs", [None, 17])
+def test_snapshot_branches_as_often_as_asked_whatever_is_played_between(num_envs):
     # With a fixed scenario a branch may cross its end: nothing is drawn.
     given = {"scenario": eventful().to_dict(), "version": "v0"}
-    env, twin = (GFMWTGEnv(**given) if n_lanes is None else GFMWTGVectorEnv(n_lanes, **given) for _ in range(2))
+    env, twin = (GFMWTGEnv(**given) if num_envs is None else GFMWTGVectorEnv(num_envs, **given) for _ in range(2))
     for each in (env, twin):
         steps_of(each, BEFORE, seed=3)
     start, branches = pickle.loads(pickle.dumps(env.snapshot())), []
     for actions in (AFTER, OTHER, AFTER, OTHER):
         env.restore(start)
         branches.append(steps_of(env, actions))
-        env.reset(options={"scenario": MANY_EVENTS} if n_lanes is None else {"scenarios": [MANY_EVENTS] * n_lanes})
+        env.reset(options={"scenario": MANY_EVENTS} if num_envs is None else {"scenarios": [MANY_EVENTS] * num_envs})
     assert branches[0] == branches[2] and branches[1] == branches[3] and branches[0][0][:25] != branches[1][0]
     assert branches[0] == steps_of(twin, AFTER)
     twin.restore(start)
@@ -139,7 +139,7 @@ def test_snapshot_leaves_the_stream_of_scenarios_alone_and_keeps_what_is_on_its_
     assert env.reset()[1]["scenario_seed"] == twin.reset()[1]["scenario_seed"]
 
 
-def test_batch_snapshot_keeps_lanes_that_wait_for_their_reset():
+def test_batch_snapshot_keeps_envs_that_wait_for_their_reset():
     env = GFMWTGVectorEnv(3, duration_s=4.0, version="v0")
     start = {"scenarios": [eventful(duration_s=1.0), calm(), calm()]}
     vector_steps(env, BEFORE[:10, :3, :4], seed=3, start=start)

@@ -40,7 +40,7 @@ def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
         venv.seed(40)
     assert same(reference.reset(), env.reset())
     assert same(dict(enumerate(reference.reset_infos)), dict(enumerate(env.reset_infos)))
-    # The first lane's first episode ends at a stall, the third's earlier than the others.
+    # The first environment's first episode ends at a stall, the third's earlier than the others.
     first, third = rising(5.0), calm(9.0, 1.5)
     reference.seed(40)
     reference.set_options([{"scenario": first}, {}, {"scenario": third}])
@@ -52,12 +52,14 @@ def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
         expected, got = reference.step(actions), env.step(actions)
         for a, b in zip(expected[:3], got[:3], strict=True):
             assert same(a, b)
-        for lane, done in enumerate(got[2]):
-            assert got[3][lane]["TimeLimit.truncated"] == expected[3][lane]["TimeLimit.truncated"]
+        for env_index, done in enumerate(got[2]):
+            assert got[3][env_index]["TimeLimit.truncated"] == expected[3][env_index]["TimeLimit.truncated"]
             if done:
-                assert same(expected[3][lane], got[3][lane])
-                assert same(reference.reset_infos[lane], env.reset_infos[lane])
-                ends.append((lane, got[3][lane]["termination_reason"], got[3][lane]["TimeLimit.truncated"]))
+                assert same(expected[3][env_index], got[3][env_index])
+                assert same(reference.reset_infos[env_index], env.reset_infos[env_index])
+                ends.append(
+                    (env_index, got[3][env_index]["termination_reason"], got[3][env_index]["TimeLimit.truncated"])
+                )
     assert {(0, "stall", False), (0, "", True), (1, "", True), (2, "", True)} == set(ends)
     assert len(ends) == 7
 

@@ -58,12 +58,12 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         seen = {**arguments, "observation_mode": "privileged"}
         self.single_env = GFMWTGEnv(render_mode=render_mode, **seen)
         self.render_mode = render_mode
-        lanes, settings = self.single_env.lanes, self.single_env.settings
+        batch, settings = self.single_env.batch, self.single_env.settings
         self.metadata = {**self.single_env.metadata, "name": settings.env_id, "is_parallelizable": True}
-        self.possible_agents = [f"wtg{group}" for group in range(lanes.n_wtg)]
+        self.possible_agents = [f"wtg{group}" for group in range(batch.n_wtg)]
         self.agents: list[str] = []
         n_modes = sum(ACTION_MODES[settings.action_mode])
-        width = lanes.n_local + n_modes
+        width = batch.n_local + n_modes
         bound, high = np.full(width, OBSERVATION_BOUND, dtype=np.float32), np.ones(n_modes, dtype=np.float32)
         # Each its own, so that each can be seeded by itself.
         self.observation_spaces = ByName(
@@ -75,7 +75,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         self._seen = {agent: slice(j * width, (j + 1) * width) for j, agent in enumerate(self.possible_agents)}
         self._done_by = {agent: slice(j * n_modes, (j + 1) * n_modes) for j, agent in enumerate(self.possible_agents)}
         #: Names and units of each agent's observation.
-        self.observation_names = {agent: lanes.observation_names[entries] for agent, entries in self._seen.items()}
+        self.observation_names = {agent: batch.observation_names[entries] for agent, entries in self._seen.items()}
 
     def observation_space(self, agent: str) -> gym.spaces.Box:
         """Return what an agent observes: Box(-5, 5, (n,))."""
@@ -122,11 +122,11 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         if not self.agents:
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
         joint = self._joint(actions)
-        lanes = self.single_env.lanes
+        batch = self.single_env.batch
         observation, reward, terminated, truncated, info = self.single_env.step(joint)
         acted = self.agents
         observations, rewards = self._parts(observation), dict.fromkeys(acted, reward)
-        connected = lanes.simulator.wtg_values("connected")[0] > 0.5
+        connected = batch.simulator.wtg_values("connected")[0] > 0.5
         there = dict(zip(self.possible_agents, connected.tolist(), strict=True))
         terminations = {agent: terminated or not there[agent] for agent in acted}
         truncations = {agent: truncated and there[agent] for agent in acted}
@@ -157,9 +157,9 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
 
         A RuntimeError says that no episode was started.
         """
-        if not self.single_env.lanes.task_values("end_step")[0] > 0.0:
+        if not self.single_env.batch.task_values("end_step")[0] > 0.0:
             raise RuntimeError("no episode was started; call reset() before state()")
-        state: Observation = self.single_env.lanes.observations[0].copy()
+        state: Observation = self.single_env.batch.observations[0].copy()
         return state
 
     def render(self) -> Frame | None:

@@ -32,7 +32,7 @@ class SB3VecEnv(VecEnv):
     bit for bit. An environment whose episode ends starts the next one within the same step.
 
     While an episode runs, its info holds `TimeLimit.truncated` (False) only: learners need no more, and writing every
-    key slows a large batch down. `lanes.info_arrays()` has the others. At its end it holds every key of the single
+    key slows a large batch down. `batch.info_arrays()` has the others. At its end it holds every key of the single
     environment's info for the last step, `terminal_observation` (n_observation,) float32, and `TimeLimit.truncated`:
     True where time was over without a failure. `reset_infos` holds the info of every episode's start.
 
@@ -46,8 +46,8 @@ class SB3VecEnv(VecEnv):
             raise TypeError("autoreset_mode cannot be chosen: Stable-Baselines3 needs resets within the same step")
         #: The batch that does the work.
         self.vector_env = env = GFMWTGVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
-        #: Its lanes: states, and every number of `info` by `info_arrays()`.
-        self.lanes = env.lanes
+        #: Its batch: states, and every number of `info` by `info_arrays()`.
+        self.batch = env.batch
         self._actions: npt.NDArray[Any] | None = None
         super().__init__(num_envs, env.single_observation_space, env.single_action_space)
         # Without it VecVideoRecorder would play an episode three times as fast as it was.
@@ -65,7 +65,7 @@ class SB3VecEnv(VecEnv):
         self._actions = None
         seeds: Any = self._seeds
         observations, infos = self.vector_env.reset(seed=seeds)
-        self.reset_infos = [_lane_info(infos, lane) for lane in range(self.num_envs)]
+        self.reset_infos = [_env_info(infos, env_index) for env_index in range(self.num_envs)]
         self._reset_seeds()
         return observations
 
@@ -86,13 +86,13 @@ class SB3VecEnv(VecEnv):
         observations, rewards, terminated, truncated, batch = self.vector_env.step(actions)
         dones = terminated | truncated
         infos: list[Info] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
-        for lane in np.flatnonzero(dones).tolist():
-            infos[lane] = {
-                **_lane_info(batch["final_info"], lane),
-                "TimeLimit.truncated": bool(truncated[lane] and not terminated[lane]),
-                "terminal_observation": batch["final_obs"][lane],
+        for env_index in np.flatnonzero(dones).tolist():
+            infos[env_index] = {
+                **_env_info(batch["final_info"], env_index),
+                "TimeLimit.truncated": bool(truncated[env_index] and not terminated[env_index]),
+                "terminal_observation": batch["final_obs"][env_index],
             }
-            self.reset_infos[lane] = _lane_info(batch, lane)
+            self.reset_infos[env_index] = _env_info(batch, env_index)
         return observations, rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
@@ -100,47 +100,51 @@ class SB3VecEnv(VecEnv):
         self.vector_env.close()
 
     def get_images(self) -> list[npt.NDArray[np.uint8] | None]:
-        """Return a frame per lane, which `render_mode="rgb_array"` asks for; else None per lane."""
+        """Return a frame per environment, which `render_mode="rgb_array"` asks for; else None per environment."""
         if self.vector_env.render_mode is None:
             return [None] * self.num_envs
         frames: Any = self.vector_env.render()
         return list(frames or ())
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """Return an attribute that all lanes share, such as `settings` or `observation_names`, once per lane asked for.
+        """Return an attribute that all share, such as `settings` or `observation_names`, once per environment.
 
-        An AttributeError says that there is none, that it is a method, or a lane's own that cannot be read.
+        An AttributeError says that there is none, that it is a method, or an environment's own that cannot be read.
         """
-        # Spaces of the batch have other shapes, and its generators are not those of the lanes.
+        # Spaces of the batch have other shapes, and its generators are not those of the environments.
         name = f"single_{attr_name}" if attr_name in ("action_space", "observation_space") else attr_name
         is_own = name in ("np_random", "np_random_seed")
         if is_own or callable(value := getattr(self.vector_env.unwrapped, name)):
-            raise AttributeError(f"the lanes are stepped together and have no {attr_name!r} of their own")
+            raise AttributeError(f"the environments are stepped together and have no {attr_name!r} of their own")
         return [value] * len(np.arange(self.num_envs)[list(self._get_indices(indices))])
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
         """Raise an AttributeError: the arguments of an environment are fixed."""
-        raise AttributeError(f"cannot set {attr_name!r} of single lanes: make a new SB3VecEnv with other arguments")
+        raise AttributeError(
+            f"cannot set {attr_name!r} of single environments: make a new SB3VecEnv with other arguments"
+        )
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Raise an AttributeError: the lanes are stepped together and are no objects of their own."""
-        raise AttributeError(f"cannot call {method_name!r} of single lanes; `vector_env` has the methods of the batch")
+        """Raise an AttributeError: the environments are stepped together and are no objects of their own."""
+        raise AttributeError(
+            f"cannot call {method_name!r} of single environments; `vector_env` has the methods of the batch"
+        )
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: int | Iterable[int] | None = None
     ) -> list[bool]:
-        """Return False per lane asked for: wrappers of single environments cannot be put around a lane."""
+        """Return False per environment asked for: none can have a wrapper of its own."""
         return [False for _ in self._get_indices(indices)]
 
 
-def _lane_info(infos: Info, lane: int) -> Info:
-    """Return a lane's info from that of the batch, in the types of the single environment."""
+def _env_info(infos: Info, env_index: int) -> Info:
+    """Return an environment's info from that of the batch, in the types of the single environment."""
     # Masks and what has ended are left out. Numbers in floating point stay numpy's; others become Python's own.
     columns = {key: column for key, column in infos.items() if not key.startswith(("_", "final_"))}
     return {
-        key: column[lane] if column.dtype.kind == "f" else column[lane : lane + 1].tolist()[0]
+        key: column[env_index] if column.dtype.kind == "f" else column[env_index : env_index + 1].tolist()[0]
         for key, column in columns.items()
     }
 

@@ -21,8 +21,8 @@ torch.set_num_threads(1)
 torch.manual_seed(seed)
 N_ENVS, N_STEPS, GAMMA, LAMBDA = 64, 64, 0.998, 0.95
 task = {"strategy": "coordinated-tuned", "autoreset_mode": AutoresetMode.SAME_STEP}
-lanes = gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=N_ENVS, n_threads=1, **task)
-envs = NormalizeReward(lanes, gamma=GAMMA)
+native = gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=N_ENVS, n_threads=1, **task)
+envs = NormalizeReward(native, gamma=GAMMA)
 n_observation, n_action = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
 
 
@@ -53,8 +53,8 @@ while time.process_time() < end:
             latest = torch.as_tensor(following)
             rewards[step] = torch.as_tensor(reward)
             over[step] = torch.as_tensor(terminated | truncated)
-            for lane in truncated.nonzero()[0]:  # time is over for the episode, not for the grid
-                rewards[step, lane] += GAMMA * critic(torch.as_tensor(infos["final_obs"][lane]))[0]
+            for index in truncated.nonzero()[0]:  # time is over for the episode, not for the grid
+                rewards[step, index] += GAMMA * critic(torch.as_tensor(infos["final_obs"][index]))[0]
         advantages, following, after = torch.zeros(N_STEPS, N_ENVS), critic(latest)[:, 0], 0.0
         for step in reversed(range(N_STEPS)):
             goes_on = 1 - over[step]

@@ -20,14 +20,14 @@ from wtg_gym import export_onnx
 from wtg_gym.envs import GFMWTGVectorEnv
 
 
-class Lanes(NormalizeReward):
-    """The native batch; RLlib takes infos apart for every lane and step, which takes longer than all the rest."""
+class Batch(NormalizeReward):
+    """The native batch. RLlib takes infos apart, step by step, which takes longer than all the rest."""
 
     def __init__(self, num_envs=1, **arguments):
         super().__init__(GFMWTGVectorEnv(num_envs, **arguments), gamma=0.998)
 
     def reset(self, *, seed=None, options=None):
-        # RLlib gives runner w the seed s + w: without this, its lanes would play the scenarios of the next runner.
+        # RLlib gives runner w the seed s + w: without this, it would play the scenarios of the next runner.
         seeds = None if seed is None else np.random.SeedSequence(seed).generate_state(self.num_envs, np.uint64).tolist()
         return super().reset(seed=seeds, options=options)
 
@@ -61,7 +61,7 @@ parser.add_argument("seed", type=int, nargs="?", default=0)
 parser.add_argument("--address", help="Ray cluster to join, such as auto or HOST:6379 (default: this process)")
 arguments = parser.parse_args()
 torch.set_num_threads(1)
-register_env("lanes", lambda config: Lanes(**config))
+register_env("batch", lambda config: Batch(**config))
 if arguments.address:
     ray.init(arguments.address)
     n_runners, clock = max(1, int(ray.cluster_resources()["CPU"]) - 1), time.monotonic
@@ -72,7 +72,7 @@ batch_size = 4096 * max(1, n_runners)
 network = {"fcnet_hiddens": [64, 64], "fcnet_activation": "tanh", "vf_share_layers": False, "free_log_std": True}
 config = (
     PPOConfig()
-    .environment("lanes", env_config={"n_threads": 1, "strategy": "coordinated-tuned"})
+    .environment("batch", env_config={"n_threads": 1, "strategy": "coordinated-tuned"})
     .env_runners(num_env_runners=n_runners, num_envs_per_env_runner=64, gym_env_vectorize_mode="vector_entry_point")
     .rl_module(rl_module_spec=RLModuleSpec(module_class=Module, model_config=network))
     .training(

@@ -21,8 +21,8 @@ from wtg_gym import export_onnx
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
 torch.set_num_threads(1)
 set_seed(seed)
-lanes = gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, n_threads=1, strategy="coordinated-tuned")
-envs = NormalizeReward(lanes, gamma=0.998)
+native = gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, n_threads=1, strategy="coordinated-tuned")
+envs = NormalizeReward(native, gamma=0.998)
 envs.reset(seed=seed)
 env = wrap_env(envs)
 spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}

@@ -23,7 +23,7 @@ torch.set_num_threads(1)
 torch.manual_seed(seed)
 
 
-class Lanes(VectorWrapper):
+class Batch(VectorWrapper):
     """The native batch; TorchRL takes numbers alone in the infos, and asks for the mode."""
 
     autoreset_mode = AutoresetMode.SAME_STEP
@@ -33,11 +33,11 @@ class Lanes(VectorWrapper):
         return *rest, {name: infos[name] for name in infos if name in ("final_obs", "_final_obs")}
 
 
-task = {"strategy": "coordinated-tuned", "autoreset_mode": Lanes.autoreset_mode}
-lanes = Lanes(gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, n_threads=1, **task))
-lanes.reset(seed=seed)
-env = TransformedEnv(GymWrapper(lanes), RewardScaling(loc=0.0, scale=0.1))  # to returns of about one
-n_observation, n_action = (space.shape[0] for space in (lanes.single_observation_space, lanes.single_action_space))
+task = {"strategy": "coordinated-tuned", "autoreset_mode": Batch.autoreset_mode}
+native = Batch(gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, n_threads=1, **task))
+native.reset(seed=seed)
+env = TransformedEnv(GymWrapper(native), RewardScaling(loc=0.0, scale=0.1))  # to returns of about one
+n_observation, n_action = (space.shape[0] for space in (native.single_observation_space, native.single_action_space))
 
 
 def network(n_out: int) -> nn.Sequential:

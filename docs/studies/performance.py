@@ -64,13 +64,13 @@ def vector(name, n_envs):
     return lambda: envs.step(actions[next(count) % 8]), n_envs, step_s
 
 
-def gradients(version, n_lanes):
+def gradients(version, num_envs):
     """Play a minute and go back to the gradient of their cost with respect to every action."""
-    tape = Tape(EnvSettings(version=version), n_lanes)
-    scenarios = tape.lanes.scenarios(list(tape.lanes.suite.validation)[:n_lanes])
-    n_steps = round(60.0 / tape.lanes.settings.step_s)
-    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (n_steps, n_lanes, tape.lanes.n_action))
-    return lambda: tape.gradient(scenarios, actions), len(actions) * n_lanes, tape.lanes.settings.step_s
+    tape = Tape(EnvSettings(version=version), num_envs)
+    scenarios = tape.batch.scenarios(list(tape.batch.suite.validation)[:num_envs])
+    n_steps = round(60.0 / tape.batch.settings.step_s)
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (n_steps, num_envs, tape.batch.n_action))
+    return lambda: tape.gradient(scenarios, actions), len(actions) * num_envs, tape.batch.settings.step_s
 
 
 def training(envs, n_envs):

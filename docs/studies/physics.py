@@ -3,7 +3,7 @@
 import numpy as np
 from output import folder
 
-from wtg_gym.envs.lanes import TERMINATION_REASONS
+from wtg_gym.envs.batch import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status

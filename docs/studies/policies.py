@@ -15,7 +15,7 @@ import numpy as np
 
 from agents.evolution import Search
 from baselines.distilled_law import DistilledLaw, Gains, terms
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.layout import Floats
@@ -27,7 +27,7 @@ from wtg_gym.physics.tracking_law import (
     Tuning,
     get_law,
 )
-from wtg_gym.policies.play import answer, started_lanes
+from wtg_gym.policies.play import answer, started_batch
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks.observation import of_groups
@@ -53,15 +53,15 @@ class Population:
     def __init__(self, suite: str, seeds: range, n_candidates: int, **settings) -> None:
         n_scenarios = len(seeds)
         settings_of_env = EnvSettings(suite=suite, split="train", reward="cost", **settings)
-        self.lanes = TaskLanes(settings_of_env, n_scenarios * n_candidates)
-        self._scenarios = self.lanes.scenarios(seeds)
-        self._offsets = np.array([self.lanes.suite.cost_offset(scenario) for scenario in self._scenarios])
+        self.batch = EnvBatch(settings_of_env, n_scenarios * n_candidates)
+        self._scenarios = self.batch.scenarios(seeds)
+        self._offsets = np.array([self.batch.suite.cost_offset(scenario) for scenario in self._scenarios])
 
     def __enter__(self) -> Population:
         return self
 
     def __exit__(self, *_error) -> None:
-        self.lanes.simulator.close()
+        self.batch.simulator.close()
 
     def objectives(
         self, laws: Sequence[TrackingLaw] | None = None, act: Callable[[MeasuredObservation], Floats] | None = None
@@ -73,20 +73,20 @@ class Population:
             act: actions (n_candidates, n_scenarios, n_wtg, n_action) by what the groups observe, each number an array
                 (n_candidates, n_scenarios, n_wtg); None: zeros.
         """
-        lanes, n_scenarios = self.lanes, len(self._scenarios)
-        shape = lanes.n_lanes // n_scenarios, n_scenarios
+        batch, n_scenarios = self.batch, len(self._scenarios)
+        shape = batch.num_envs // n_scenarios, n_scenarios
         for candidate in range(shape[0]):
             if laws is not None:
-                lanes.laws = (laws[candidate],) * lanes.n_wtg
-            lanes.start(range(candidate * n_scenarios, (candidate + 1) * n_scenarios), self._scenarios)
-        actions = np.zeros((lanes.n_lanes, lanes.n_action))
-        for _ in range(round(lanes.duration_s / lanes.settings.step_s)):
+                batch.laws = (laws[candidate],) * batch.n_wtg
+            batch.start(range(candidate * n_scenarios, (candidate + 1) * n_scenarios), self._scenarios)
+        actions = np.zeros((batch.num_envs, batch.n_action))
+        for _ in range(round(batch.duration_s / batch.settings.step_s)):
             if act is not None:
-                seen = lanes.observations.reshape(*shape, -1).astype(np.float64)
-                groups = of_groups(seen, MeasuredObservation, lanes.settings.action_mode)
-                actions = np.clip(act(groups), -1.0, 1.0).reshape(lanes.n_lanes, -1)
-            lanes.step(np.ascontiguousarray(actions))
-        costs = lanes.cost_sums().sum(axis=1).reshape(shape)
+                seen = batch.observations.reshape(*shape, -1).astype(np.float64)
+                groups = of_groups(seen, MeasuredObservation, batch.settings.action_mode)
+                actions = np.clip(act(groups), -1.0, 1.0).reshape(batch.num_envs, -1)
+            batch.step(np.ascontiguousarray(actions))
+        costs = batch.cost_sums().sum(axis=1).reshape(shape)
         return np.log(costs + self._offsets).mean(axis=1)
 
 
@@ -142,16 +142,16 @@ def distilled(suite: str, teacher: str = "dagger-v1-2", n_scenarios: int = N_SCE
     settings, seeds = EnvSettings(suite=suite, split="train"), get_suite(suite).train[:n_scenarios]
     gains, columns, actions = None, [], []
     for _ in range(rounds):
-        with started_lanes(entry, settings, seeds) as (lanes, _drawn), entry.policy:
+        with started_batch(entry, settings, seeds) as (batch, _drawn), entry.policy:
             filtered, state = None, None
-            for step in range(round(lanes.duration_s / lanes.settings.step_s)):
-                running = ~np.logical_or(*lanes.ended())
-                answers, state = answer(entry, lanes, state, step, running)
-                values, filtered = terms(of_groups(lanes.observations, MeasuredObservation, "k"), filtered)
-                connected = running[:, np.newaxis] & (lanes.simulator.wtg_values("connected") > 0.5)
+            for step in range(round(batch.duration_s / batch.settings.step_s)):
+                running = ~np.logical_or(*batch.ended())
+                answers, state = answer(entry, batch, state, step, running)
+                values, filtered = terms(of_groups(batch.observations, MeasuredObservation, "k"), filtered)
+                connected = running[:, np.newaxis] & (batch.simulator.wtg_values("connected") > 0.5)
                 columns.append(values[connected])
                 actions.append(answers[connected])
-                lanes.step(answers if gains is None else np.clip(values @ gains, -1.0, 1.0))
+                batch.step(answers if gains is None else np.clip(values @ gains, -1.0, 1.0))
         gains = np.linalg.lstsq(np.concatenate(columns), np.concatenate(actions))[0]
     return Gains(*gains)
 

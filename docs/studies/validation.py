@@ -52,7 +52,7 @@ def golden_summary():
 def samples(run, step_s):
     """Play scenarios of the standard suite under its law; return every quantity every 0.1 s.
 
-    Returns (n_steps, n_lanes, 3, n_wtg), NaN after a run's end and once load has been shed, which happens at a step,
+    Returns (n_steps, num_envs, 3, n_wtg), NaN after a run's end and once load has been shed, which happens at a step,
     and the status of every run.
     """
     environment, rng = EnvSettings(version=run[:2]), np.random.default_rng(0)
@@ -62,7 +62,7 @@ def samples(run, step_s):
     seeds, sizes = list(suite.validation[:N_SCENARIOS]), [group.n_turbines for group in plant.groups]
     scenarios = suite.scenarios(seeds, n_wtg=n_wtg, n_turbines=sizes)
     laws = group_laws(environment.strategy, plant.turbines, plant.control)
-    simulator = Simulator(plant, n_lanes=len(scenarios), duration_s=suite.duration_s)
+    simulator = Simulator(plant, num_envs=len(scenarios), duration_s=suite.duration_s)
     simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
     values = []
     rows = [simulator.layout.wtg(name) for name in ("k_offset", "inv_tau")]
@@ -82,9 +82,9 @@ def samples(run, step_s):
             simulator.wtg_values("rotor_speed"),
             simulator.wtg_values("power"),
         ]
-        running = (simulator.lane_values("status") == Status.RUNNING) & (simulator.lane_values("shed_energy") == 0.0)
+        running = (simulator.env_values("status") == Status.RUNNING) & (simulator.env_values("shed_energy") == 0.0)
         values.append(np.where(running[:, None, None], np.stack(quantities, axis=1), np.nan))
-    status = simulator.lane_values("status").copy()
+    status = simulator.env_values("status").copy()
     simulator.close()
     return np.array(values), status
 

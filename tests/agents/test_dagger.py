@@ -15,7 +15,7 @@ from agents.run import folders
 from tests.agents.small import run_and_interrupted_run
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.scenario import GroupTrip, LoadRamp, LoadStep
 
@@ -31,8 +31,8 @@ def _few_others(monkeypatch):
 
 
 def test_a_plan_knows_nothing_of_what_comes():
-    lanes = TaskLanes(SHORT, 1, 1)
-    (drawn,) = lanes.scenarios([1_000_000])
+    batch = EnvBatch(SHORT, 1, 1)
+    (drawn,) = batch.scenarios([1_000_000])
     drawn = replace(drawn, events=())
     wind, noise = drawn.wind_speed.copy(), drawn.load_noise_mw.copy()
     wind[:, 101:] *= 0.9
@@ -60,8 +60,8 @@ def test_of_events_it_knows_what_has_passed():
 
 
 def test_futures_go_on_as_other_scenarios_of_the_suite():
-    lanes = TaskLanes(replace(SETTINGS, duration_s=240.0), 1, 1)
-    futures, suite = Futures(lanes), lanes.suite
+    batch = EnvBatch(replace(SETTINGS, duration_s=240.0), 1, 1)
+    futures, suite = Futures(batch), batch.suite
     (drawn,) = suite.scenarios([1_000_001])
     known, rng = without_foresight(drawn, 20.0, 60.0), np.random.default_rng(0)
     drawn_futures = [futures.draw(known, 20.0, rng) for _ in range(5)]
@@ -75,21 +75,21 @@ def test_futures_go_on_as_other_scenarios_of_the_suite():
 
 
 def test_it_plans_from_where_the_episode_is_to_its_end():
-    lanes = TaskLanes(SHORT, 2, 1)
+    batch = EnvBatch(SHORT, 2, 1)
     planner = Planner(SHORT, 2, QUICK, 1)
-    actions = drive(planner, lanes, lanes.scenarios([1_000_000, 1_000_001]))
-    assert actions.shape == (40, 2, 4) and lanes.ended()[1].all()
+    actions = drive(planner, batch, batch.scenarios([1_000_000, 1_000_001]))
+    assert actions.shape == (40, 2, 4) and batch.ended()[1].all()
     # What futures have of the past is the episode, to the bit.
-    planner.start(lanes.scenarios([1_000_000, 1_000_001]))
-    lanes.start(range(2), lanes.scenarios([1_000_000, 1_000_001]))
+    planner.start(batch.scenarios([1_000_000, 1_000_001]))
+    batch.start(range(2), batch.scenarios([1_000_000, 1_000_001]))
     for taken in actions[:30]:
-        lanes.step(taken)
+        batch.step(taken)
         planner.take(taken)
     planner.plan()
     past = planner._episodes.tape.before(0)
-    for rows in (lanes.simulator.layout.wtg("rotor_speed"), lanes.simulator.layout.machine("speed")):
+    for rows in (batch.simulator.layout.wtg("rotor_speed"), batch.simulator.layout.machine("speed")):
         of_futures = past[:, rows, : 2 * QUICK.futures].reshape(*past[:, rows].shape[:2], 2, -1)
-        assert (of_futures == lanes.simulator.blocks[:, rows, :2, np.newaxis]).all()
+        assert (of_futures == batch.simulator.blocks[:, rows, :2, np.newaxis]).all()
 
 
 def test_it_costs_less_than_the_law_where_reserves_are_ample(monkeypatch):
@@ -112,10 +112,10 @@ def test_batches_hold_episodes_of_all_rounds():
 
 
 def test_plans_of_a_group_that_is_gone_are_not_learned():
-    lanes, plans = TaskLanes(SHORT, 1, 1), Plans()
-    (drawn,) = lanes.scenarios([1_000_000])
+    batch, plans = EnvBatch(SHORT, 1, 1), Plans()
+    (drawn,) = batch.scenarios([1_000_000])
     drawn = replace(drawn, events=(GroupTrip(time_s=9.0, group=1),))
-    observe(Planner(SHORT, 1, QUICK, 1), lanes, [drawn], plans, lambda plan: plan)
+    observe(Planner(SHORT, 1, QUICK, 1), batch, [drawn], plans, lambda plan: plan)
     (counts,) = plans.counts
     assert counts[:18].all() and not counts[20:, 0, 1].any() and counts[:, 0, [0, 2, 3]].all()
     learner = DaggerLearner(GradientPolicy(6, 1, (4,), 4))

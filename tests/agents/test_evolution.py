@@ -47,12 +47,12 @@ def test_search_begins_at_the_policy_of_the_file(name):
 
 def test_what_is_lowered_is_minus_the_score_in_hundreds():
     population = Population(EnvSettings(version="v1", duration_s=40.0), 3, 4)
-    lanes, policy = population.lanes, GradientPolicy(8, 2)
-    scenarios = lanes.scenarios(range(1_000_057, 1_000_060))
+    batch, policy = population.batch, GradientPolicy(8, 2)
+    scenarios = batch.scenarios(range(1_000_057, 1_000_060))
     candidates = np.random.default_rng(0).normal(0.0, 0.1, (4, 18))
     result = population.objectives(policy, candidates, scenarios)
-    costs = lanes.cost_sums().sum(axis=1).reshape(4, 3)
-    strata = [lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios]
+    costs = batch.cost_sums().sum(axis=1).reshape(4, 3)
+    strata = [batch.suite.stratum(scenario.seed or 0) for scenario in scenarios]
     offsets = np.array([{"ample": 40.0, "tight": 200.0, "short": 1000.0}[name] for name in strata])
     assert result == pytest.approx(np.mean(np.log(costs + offsets), axis=1) / V1.scale) and np.unique(result).size == 4
     # The first candidate alone, in the same scenarios.

@@ -14,7 +14,7 @@ from tests.agents.small import largest_difference, run_and_interrupted_run
 from tests.interruption import interrupted
 from wtg_gym import get_suite, load_entries
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.policies.torch_export import TorchPolicy
 
@@ -31,14 +31,14 @@ SHARE = 1.0 / (1.0 + math.exp(-1.0))
 def test_loss_falls_on_the_scenarios_that_it_is_of(hidden, lstm, settings):
     torch.manual_seed(0)
     episodes = TorchEpisodes(EnvSettings(**{"version": "v0", **settings}), 4, 1)
-    lanes, failures, h = episodes.tape.lanes, Failures(episodes), Hyperparameters(hidden=hidden, lstm=lstm)
-    policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden, lstm)
+    batch, failures, h = episodes.tape.batch, Failures(episodes), Hyperparameters(hidden=hidden, lstm=lstm)
+    policy = GradientPolicy(batch.n_observation, batch.n_action, hidden, lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
-    scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
-    losses, n_steps = [], round(10.0 / lanes.settings.step_s)
+    scenarios = batch.scenarios(range(1_000_000, 1_000_004))
+    losses, n_steps = [], round(10.0 / batch.settings.step_s)
     for _ in range(10):
         costs, _ = costs_of(episodes, policy, scenarios, n_steps, failures)
-        loss = loss_of(costs, lanes.suite, scenarios)
+        loss = loss_of(costs, batch.suite, scenarios)
         losses.append(descend(policy, optimizer, loss, h.max_grad_norm))
     assert losses[-1] < losses[0] - 0.01
 
@@ -110,12 +110,12 @@ def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale():
 
 
 def test_a_batch_of_v1_holds_as_many_of_each_stratum():
-    lanes = TaskLanes(EnvSettings(**V1, duration_s=1.0), 30)
-    scenarios = draw(lanes, np.random.default_rng(0), 30)
-    strata = Counter(lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios)
+    batch = EnvBatch(EnvSettings(**V1, duration_s=1.0), 30)
+    scenarios = draw(batch, np.random.default_rng(0), 30)
+    strata = Counter(batch.suite.stratum(scenario.seed or 0) for scenario in scenarios)
     assert strata == {"ample": 10, "tight": 10, "short": 10}
-    assert all(scenario.seed in lanes.suite.train for scenario in scenarios)
-    same, other = (draw(lanes, np.random.default_rng(seed), 30)[0].seed for seed in (0, 1))
+    assert all(scenario.seed in batch.suite.train for scenario in scenarios)
+    same, other = (draw(batch, np.random.default_rng(seed), 30)[0].seed for seed in (0, 1))
     assert same == scenarios[0].seed != other
 
 
@@ -128,8 +128,8 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
     states = [torch.load(path / "state.pt", weights_only=True)["policy"] for path in saved]
     assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
     (entry,), h = load_entries(tmp_path / "entry"), Hyperparameters(**runs[0].settings.hyperparameters)
-    lanes = TaskLanes(EnvSettings(**runs[0].settings.env_arguments), 1, 1)
-    learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
+    batch = EnvBatch(EnvSettings(**runs[0].settings.env_arguments), 1, 1)
+    learner = GradientLearner(GradientPolicy(batch.n_observation, batch.n_action, h.hidden, h.lstm), h)
     learner.load(saved[0])
     assert largest_difference(TorchPolicy(learner.network), entry.policy, runs[0].settings) <= 1e-6
 

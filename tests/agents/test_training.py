@@ -310,32 +310,32 @@ def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
     assert "| 1.2 |" in shipped.table()
 
 
-def test_lanes_are_the_groups_of_the_episodes():
+def test_envs_are_the_groups_of_the_episodes():
     arguments = {**SHORT, "groups": 3}
     episodes, groups = SB3VecEnv(2, reward="score", **arguments), AgentVecEnv(SB3VecEnv(2, reward="score", **arguments))
     for env in (episodes, groups):
         env.seed(3)
     seen, split = episodes.reset(), groups.reset()
-    names = episodes.lanes.observation_names
+    names = episodes.batch.observation_names
     assert (groups.num_envs, groups.n_wtg) == (6, 3)
     rng, ends = np.random.default_rng(0), 0
     for _ in range(60):
-        for lane in range(6):
-            episode, group = divmod(lane, 3)
+        for env_index in range(6):
+            episode, group = divmod(env_index, 3)
             # What a group measures, its last actions, and its size.
             own = [index for index, name in enumerate(names) if name.startswith(f"wtg{group}.")]
-            assert split[lane].tolist() == [*seen[episode, own], 1.0]
-            assert groups.observation_space.contains(split[lane])
+            assert split[env_index].tolist() == [*seen[episode, own], 1.0]
+            assert groups.observation_space.contains(split[env_index])
         actions = rng.uniform(-1.0, 1.0, (6, 2)).astype(np.float32)
         seen, rewards, dones, infos = episodes.step(actions.reshape(2, 6))
         split, each, ended, own_infos = groups.step(actions)
         assert each.tolist() == np.repeat(rewards, 3).tolist() and ended.tolist() == np.repeat(dones, 3).tolist()
-        for lane in np.flatnonzero(ended):
-            episode, group = divmod(int(lane), 3)
+        for env_index in np.flatnonzero(ended):
+            episode, group = divmod(int(env_index), 3)
             ends += 1
-            last, own_last = infos[episode]["terminal_observation"], own_infos[lane]["terminal_observation"]
+            last, own_last = infos[episode]["terminal_observation"], own_infos[env_index]["terminal_observation"]
             assert own_last[:10].tolist() == last[10 * group : 10 * group + 10].tolist()
-            assert own_infos[lane]["TimeLimit.truncated"] == infos[episode]["TimeLimit.truncated"]
+            assert own_infos[env_index]["TimeLimit.truncated"] == infos[episode]["TimeLimit.truncated"]
     assert ends >= 6
 
 

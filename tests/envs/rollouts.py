@@ -1,4 +1,4 @@
-"""Rollouts in a common form, so that a lane of a batch and a single environment can be compared bit for bit."""
+"""Rollouts in a common form, so that an environment of a batch and a single environment can be compared bit for bit."""
 
 import hashlib
 import itertools
@@ -16,9 +16,9 @@ VERSIONS = ("v0", "v1")
 N_WTG = {"v0": 2, "v1": 4}
 
 
-def actions_of(seed: int, n_steps: int, n_lanes: int = 1, n_action: int = 4, scale: float = 1.2) -> np.ndarray:
-    """Return random actions, some of them out of range, shape (n_steps, n_lanes, n_action)."""
-    return np.random.default_rng(seed).uniform(-scale, scale, (n_steps, n_lanes, n_action))
+def actions_of(seed: int, n_steps: int, num_envs: int = 1, n_action: int = 4, scale: float = 1.2) -> np.ndarray:
+    """Return random actions, some of them out of range, shape (n_steps, num_envs, n_action)."""
+    return np.random.default_rng(seed).uniform(-scale, scale, (n_steps, num_envs, n_action))
 
 
 def eventful(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes) -> sc.Scenario:
@@ -100,37 +100,39 @@ def single_steps(
 
 
 def vector_steps(env: GFMWTGVectorEnv, actions: np.ndarray, seed: int | None = None, start=None):
-    """Step a batch over `actions` (n_steps, n_lanes, n_action), and return each lane's own steps."""
-    lanes = [[] for _ in range(env.num_envs)]
+    """Step a batch over `actions` (n_steps, num_envs, n_action), and return each environment's own steps."""
+    batch = [[] for _ in range(env.num_envs)]
     zeros, never = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
     if seed is not None:
         observations, infos = env.reset(seed=seed, options=start)
-        for lane, steps in enumerate(lanes):
-            steps.append(_lane_step(lane, observations, zeros, never, never, infos))
+        for env_index, steps in enumerate(batch):
+            steps.append(_env_step(env_index, observations, zeros, never, never, infos))
     for action in actions:
         result = env.step(action)
-        for lane, steps in enumerate(lanes):
-            steps.append(_lane_step(lane, *result))
+        for env_index, steps in enumerate(batch):
+            steps.append(_env_step(env_index, *result))
         over = result[2] | result[3]
         if env.autoreset_mode == AutoresetMode.DISABLED and over.any():
             observations, infos = env.reset(options={"reset_mask": over})
-            for lane in np.flatnonzero(over):
-                lanes[lane].append(_lane_step(lane, observations, zeros, never, never, infos))
-    return lanes
+            for env_index in np.flatnonzero(over):
+                batch[env_index].append(_env_step(env_index, observations, zeros, never, never, infos))
+    return batch
 
 
-def _lane_step(lane: int, observations: np.ndarray, rewards: np.ndarray, terminated, truncated, infos):
+def _env_step(env_index: int, observations: np.ndarray, rewards: np.ndarray, terminated, truncated, infos):
     final = None
-    if "final_obs" in infos and infos["_final_obs"][lane]:
-        assert infos["_final_info"][lane]
-        final = as_step(infos["final_obs"][lane], 0.0, False, False, lane_info(infos["final_info"], lane))
-    info = lane_info(infos, lane)
-    return as_step(observations[lane], rewards[lane], terminated[lane], truncated[lane], info, final)
+    if "final_obs" in infos and infos["_final_obs"][env_index]:
+        assert infos["_final_info"][env_index]
+        final = as_step(infos["final_obs"][env_index], 0.0, False, False, env_info(infos["final_info"], env_index))
+    info = env_info(infos, env_index)
+    return as_step(
+        observations[env_index], rewards[env_index], terminated[env_index], truncated[env_index], info, final
+    )
 
 
-def lane_info(infos, lane: int):
+def env_info(infos, env_index: int):
     keys = [key for key in infos if not key.startswith(("_", "final_"))]
-    return {key: infos[key][lane] for key in keys if infos[f"_{key}"][lane]}
+    return {key: infos[key][env_index] for key in keys if infos[f"_{key}"][env_index]}
 
 
 def n_resets(steps) -> int:
@@ -155,8 +157,8 @@ def episode(env: GFMWTGEnv, actions=0.0, **reset):
             return
 
 
-def digest(n_lanes: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings) -> str:
-    env = GFMWTGVectorEnv(n_lanes, n_threads=n_threads, **{"version": "v0", "duration_s": 2.0, **settings})
-    lanes = vector_steps(env, actions_of(1, n_steps, n_lanes, env.single_action_space.shape[0]), seed=11)
+def digest(num_envs: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings) -> str:
+    env = GFMWTGVectorEnv(num_envs, n_threads=n_threads, **{"version": "v0", "duration_s": 2.0, **settings})
+    batch = vector_steps(env, actions_of(1, n_steps, num_envs, env.single_action_space.shape[0]), seed=11)
     env.close()
-    return hashlib.sha256(repr(lanes).encode()).hexdigest()
+    return hashlib.sha256(repr(batch).encode()).hexdigest()

@@ -163,17 +163,17 @@ def test_wrong_seeds_and_options_are_refused_and_leave_the_stream_of_scenarios_a
 
 @pytest.mark.parametrize("mode", [None, NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.filterwarnings("error")
-def test_wrong_actions_are_refused_and_no_lane_has_moved(mode):
+def test_wrong_actions_are_refused_and_no_env_has_moved(mode):
     if mode is None:
         env: Any = GFMWTGEnv(scenario=eventful().to_dict(), version="v0")
         single_steps(env, ACTIONS[:20, 0], AutoresetMode.DISABLED, seed=0)
         wrong = WRONG
     else:
-        # Up to the end of an episode, where lanes wait for their reset.
+        # Up to the end of an episode, where environments wait for their reset.
         env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode=mode, version="v0")
         vector_steps(env, ACTIONS[:20], seed=0)
         wrong = {name: [[0.0] * 4, action, [0.0] * 4] for name, action in WRONG.items()}
-        wrong |= {"none": None, "scalar": 0.0, "flat": np.zeros(12), "lanes": np.zeros((2, 4))}
+        wrong |= {"none": None, "scalar": 0.0, "flat": np.zeros(12), "batch": np.zeros((2, 4))}
     twin = copy.deepcopy(env)
     for action in wrong.values():
         with pytest.raises(ValueError, match="action"):
@@ -210,7 +210,7 @@ def test_step_without_a_reset_is_a_runtime_error():
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode):
+def test_step_of_a_batch_whose_envs_were_not_all_reset_is_a_runtime_error(mode):
     env, zeros = GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode, version="v0"), np.zeros((2, 4))
     with pytest.raises(RuntimeError, match=r"reset\(\)"):
         env.step(zeros)

@@ -19,8 +19,8 @@ from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES
 
-#: Longer than an episode, so that lanes start again; episodes of v1 are cut to a minute.
-_N_STEPS, _N_LANES = {"v0": 640, "v1": 130}, 17
+#: Longer than an episode, so that environments start again; episodes of v1 are cut to a minute.
+_N_STEPS, _NUM_ENVS = {"v0": 640, "v1": 130}, 17
 _LENGTHS = {"v0": {}, "v1": {"duration_s": 60.0}}
 #: Settings besides the modes under which a suite is played once more.
 _VARIANTS = {}
@@ -68,7 +68,7 @@ class _Answers:
 
 
 def _batched(mode: AutoresetMode, n_threads: int, n_steps: int, **settings):
-    env = GFMWTGVectorEnv(_N_LANES, autoreset_mode=mode, n_threads=n_threads, **settings)
+    env = GFMWTGVectorEnv(_NUM_ENVS, autoreset_mode=mode, n_threads=n_threads, **settings)
     rng, answers = np.random.default_rng(7), _Answers()
     answers.add(env.reset(seed=3)[0])
     for _ in range(n_steps):

@@ -61,8 +61,8 @@ def play(env: GFMWTGEnv, actions: list[float], **reset: Any) -> None:
     observation, _ = env.reset(**reset)
     assert env.observation_space.contains(observation)
     n_action = env.action_space.shape[0]
-    for step in range(round(env.lanes.duration_s / env.settings.step_s)):
-        before = env.lanes.cost_sums()
+    for step in range(round(env.batch.duration_s / env.settings.step_s)):
+        before = env.batch.cost_sums()
         action = [actions[(step * n_action + a) % len(actions)] for a in range(n_action)]
         observation, reward, terminated, truncated, info = env.step(np.array(action))
         assert env.observation_space.contains(observation)
@@ -70,7 +70,7 @@ def play(env: GFMWTGEnv, actions: list[float], **reset: Any) -> None:
         assert all(math.isfinite(value) for value in info.values() if not isinstance(value, str))
         terms = [value for key, value in info.items() if key.startswith("cost_")]
         assert min(terms) >= 0.0 and (env.settings.scores or -reward == pytest.approx(sum(terms), rel=1e-12, abs=1e-15))
-        sums = env.lanes.cost_sums()
+        sums = env.batch.cost_sums()
         assert sum(terms) == pytest.approx((sums - before).sum(), rel=1e-9, abs=1e-12 * sums.max())
         assert info["termination_reason"] in (REASONS if terminated else ("",))
         if terminated or truncated:

@@ -19,7 +19,7 @@ from wtg_gym.physics.simulator import BlockThreads
 from wtg_gym.sb3 import make_sb3_vec_env
 from wtg_gym.signals import HeldSignals, undivided
 
-#: Lanes that are worth a thread.
+#: Environments that are worth a thread.
 N = 64
 #: Episodes of ten steps, so that many steps start some.
 SHORT = {"version": "v0", "duration_s": 1.0}
@@ -59,7 +59,7 @@ def step(env, k: int):
 def step_or_reset(env, k: int):
     if hasattr(env, "agents"):
         return env.step({agent: np.full(2, 0.1 * k % 1.0) for agent in env.agents}) if env.agents else env.reset()
-    return env.reset() if np.any(env.lanes.ended()) else env.step(np.full(4, 0.1 * k % 1.0))
+    return env.reset() if np.any(env.batch.ended()) else env.step(np.full(4, 0.1 * k % 1.0))
 
 
 def reset(env: GFMWTGVectorEnv, k: int):
@@ -75,7 +75,7 @@ def state(env):
     names, native = ("agents", "reset_infos", "episode_returns", "episode_lengths"), env
     for name in ("venv", "vector_env", "env", "single_env"):
         native = vars(native).get(name, native)
-    return bits([*native.snapshot().lanes[1:], *(getattr(env, name, None) for name in names)])
+    return bits([*native.snapshot().batch[1:], *(getattr(env, name, None) for name in names)])
 
 
 CASES = {
@@ -118,22 +118,22 @@ def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypa
         assert bits(result) == bits(expected)
 
 
-def staggered(n_threads: int, n_lanes: int, version: str = "v0") -> GFMWTGVectorEnv:
-    """A batch of which one lane waits for its reset and the others run."""
-    env = GFMWTGVectorEnv(n_lanes, version=version, n_threads=n_threads, duration_s=3.0, control_dt=0.1)
+def staggered(n_threads: int, num_envs: int, version: str = "v0") -> GFMWTGVectorEnv:
+    """A batch of which one environment waits for its reset and the others run."""
+    env = GFMWTGVectorEnv(num_envs, version=version, n_threads=n_threads, duration_s=3.0, control_dt=0.1)
     env.reset(seed=0)
     actions = np.zeros(env.action_space.shape, dtype=np.float32)
     for _ in range(10):
         env.step(actions)
-    env.reset(options={"reset_mask": np.arange(n_lanes) > 0})
+    env.reset(options={"reset_mask": np.arange(num_envs) > 0})
     for _ in range(20):
         env.step(actions)
     return env
 
 
-def played(n_threads: int, n_lanes: int, version: str) -> list[list[np.ndarray]]:
+def played(n_threads: int, num_envs: int, version: str) -> list[list[np.ndarray]]:
     """What 45 steps of a batch return, with resets between them."""
-    env = staggered(n_threads, n_lanes, version)
+    env = staggered(n_threads, num_envs, version)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (45, *env.action_space.shape)).astype(np.float32)
     result = [[np.copy(values) for values in env.step(own)[:4]] for own in actions]
     env.close()
@@ -167,7 +167,7 @@ def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch
         each.reset(seed=0)
     snapshot = env.snapshot()
     inside, leave = threading.Event(), threading.Event()
-    step = env.lanes.step
+    step = env.batch.step
 
     def slow(*arguments):
         inside.set()
@@ -175,7 +175,7 @@ def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch
         return step(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(env.lanes, "step", slow)
+        patch.setattr(env.batch, "step", slow)
         thread = threading.Thread(target=env.step, args=(action,))
         thread.start()
         assert inside.wait(60.0)

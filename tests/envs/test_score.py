@@ -94,21 +94,21 @@ def test_an_episode_that_is_cut_returns_what_it_is_worth_so_far():
     assert not env.step(np.ones((2, 8)))[1].any()
 
 
-@pytest.mark.parametrize("n_lanes", [1, 33])
-def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_return_alone(n_lanes):
+@pytest.mark.parametrize("num_envs", [1, 33])
+def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_return_alone(num_envs):
     settings = {**SHORT, "autoreset_mode": "SameStep", "n_threads": 2}
-    env = GFMWTGVectorEnv(n_lanes, strategy="coordinated-tuned", **settings)
+    env = GFMWTGVectorEnv(num_envs, strategy="coordinated-tuned", **settings)
     env.reset(seed=3)
-    assert not any(env.step(np.zeros((n_lanes, 8)))[1].any() for _ in range(2 * N_STEPS))
+    assert not any(env.step(np.zeros((num_envs, 8)))[1].any() for _ in range(2 * N_STEPS))
     env.close()
-    env = GFMWTGVectorEnv(n_lanes, **settings)
-    scenarios = [CASES[("tight", "of one's own")[lane % 2]][1] for lane in range(n_lanes)]
+    env = GFMWTGVectorEnv(num_envs, **settings)
+    scenarios = [CASES[("tight", "of one's own")[env_index % 2]][1] for env_index in range(num_envs)]
     env.reset(options={"scenarios": scenarios})
-    rewards = np.array([env.step(np.tile(action, (n_lanes, 1)))[1] for action in RANDOM])
-    for lane, scenario in enumerate(scenarios):
-        name = ("tight", "of one's own")[lane % 2]
+    rewards = np.array([env.step(np.tile(action, (num_envs, 1)))[1] for action in RANDOM])
+    for env_index, scenario in enumerate(scenarios):
+        name = ("tight", "of one's own")[env_index % 2]
         expected = played(name)[0]
-        assert rewards[: len(expected), lane].tolist() == expected, (lane, scenario.name)
+        assert rewards[: len(expected), env_index].tolist() == expected, (env_index, scenario.name)
     env.close()
 
 
@@ -122,10 +122,10 @@ def cost_steps(*events: Event, duration_s: float = 12.0, action: float = 0.0, **
 
 def farthest_hz(env: GFMWTGEnv) -> tuple[float, float]:
     """Largest deviation of a connected unit or of the centre of inertia, and that of the centre alone."""
-    simulator = env.lanes.simulator
+    simulator = env.batch.simulator
     omega = simulator.machine_values("speed")[0], (simulator.wtg_values("speed") + simulator.wtg_values("shift"))[0]
     connected = simulator.machine_values("connected")[0], simulator.wtg_values("connected")[0]
-    centre = abs(simulator.lane_values("coi")[0] - 1.0)
+    centre = abs(simulator.env_values("coi")[0] - 1.0)
     units = np.abs(np.concatenate(omega) - 1.0)[np.concatenate(connected) > 0.5]
     return 50.0 * max(centre, units.max()), 50.0 * centre
 
@@ -169,11 +169,11 @@ def test_a_group_that_its_protection_has_tripped_owes_its_power_at_the_frequency
     )
     before = 0.0
     for env, _, _ in cost_steps(capacitor, load):
-        simulator = env.lanes.simulator
+        simulator = env.batch.simulator
         now = simulator.values(simulator.layout.rows_of(FILTERED_DUTY, "mean_duty")[3])[0]
         # The available power of a calm wind, of which 0.05 are a unit.
         owed, before = (now - before) / -math.expm1(-0.1 / 15.0) + before, now
-        gone, centre = simulator.wtg_values("connected")[0, 3] < 0.5, simulator.lane_values("coi")[0]
+        gone, centre = simulator.wtg_values("connected")[0, 3] < 0.5, simulator.env_values("coi")[0]
         if gone:
             share = np.interp(centre, [0.992, 1.0, 1.008], [1.0, 0.95, 0.9])
             assert owed == pytest.approx(-share / 0.05, rel=1e-9)
@@ -186,10 +186,10 @@ def test_load_that_is_shed_is_charged_by_its_share():
     charged = {round(terms["failure"], 9) for *_, terms in played}
     env = played[0][0]
     env.reset()
-    buses = env.lanes.simulator.settings.case.buses
+    buses = env.batch.simulator.settings.case.buses
     loads = np.array([bus.load_mw + (step.power_mw if bus.number == step.bus else 0.0) for bus in buses])
     # The first stage, 5 % at 49 Hz, of the event's load too; counted at 1 p.u. of voltage.
-    unserved = 0.05 * (loads / np.abs(env.lanes.simulator.bus_voltages()) ** 2).sum()
+    unserved = 0.05 * (loads / np.abs(env.batch.simulator.bus_voltages()) ** 2).sum()
     assert sum(bus.load_mw for bus in buses) == pytest.approx(259.0)
     assert sorted(charged) == pytest.approx([0.0, 0.1 * 300.0 * unserved / 259.0], rel=1e-6)
 
@@ -200,7 +200,7 @@ def test_a_failed_episode_costs_the_same_whenever_it_fails(weights):
         more = LoadStep(time_s=0.5, bus=4, power_mw=60.0)
         paid = list(cost_steps(more, LoadStep(time_s=time_s, bus=3, power_mw=-330.0), duration_s=12.0, weights=weights))
         env, _, last = paid[-1]
-        assert env.lanes.statuses()[0] and 10.0 * time_s < len(paid) < 10.0 * time_s + 30.0
+        assert env.batch.statuses()[0] and 10.0 * time_s < len(paid) < 10.0 * time_s + 30.0
         assert last["failure"] > 0.0
         total = -sum(reward for _, reward, _ in paid)
         assert total == pytest.approx((weights or {"failure": 250.0})["failure"] * 13.0, rel=1e-12)
@@ -242,8 +242,8 @@ def test_stall_costs_more_than_any_way_of_living_on(weights):
     assert -rewards[-1] > living_on
     tripped, (_, terminated, truncated, info), env = play(sagging(), on_failure="trip", **settings)
     assert truncated and not terminated and tripped.size == 600 and info["termination_reason"] == ""
-    assert env.lanes.simulator.wtg_values("connected").tolist() == [[0.0, 0.0]]
-    assert np.isfinite(env.lanes.observations).all() and tripped.min() >= -0.1 * cap * (1 + 1e-12)
+    assert env.batch.simulator.wtg_values("connected").tolist() == [[0.0, 0.0]]
+    assert np.isfinite(env.batch.observations).all() and tripped.min() >= -0.1 * cap * (1 + 1e-12)
     assert rewards.sum() < tripped.sum()
     assert tripped[-1] < -0.1 * min(cap, CostWeights().duty) * 0.999, "a group that captures nothing is charged for it"
 
@@ -255,7 +255,7 @@ def test_each_failure_ends_the_episode_under_its_own_name_and_a_tripped_group_do
 ):
     rewards, (_, terminated, truncated, info), env = play(scenario, -1.0, on_failure=on_failure)
     if reason == "over-speed" and on_failure == "trip":
-        assert TripCause.OVER_SPEED in env.lanes.simulator.wtg_values("trip_cause")
+        assert TripCause.OVER_SPEED in env.batch.simulator.wtg_values("trip_cause")
         assert truncated and not terminated and info["termination_reason"] == ""
         return
     assert terminated and not truncated and info["termination_reason"] == reason
@@ -265,7 +265,7 @@ def test_each_failure_ends_the_episode_under_its_own_name_and_a_tripped_group_do
 
 def test_low_voltage_may_last_three_seconds():
     _, (*_, info), env = play(SAGGED)
-    simulator = env.lanes.simulator
+    simulator = env.batch.simulator
     spread = Spread(*simulator.scratches[0][simulator.layout.first_rows(ISLANDS, "spread")[0] :][:3, 0])
     assert spread.least_squared_voltage < 0.85**2
     assert info["time_s"] == pytest.approx(1.0 + 3.0 + 0.1)
@@ -288,8 +288,8 @@ def test_no_run_costs_more_than_one_that_fails_at_once_even_if_it_ends_within_a_
     for scenario in (GONE, TORN):
         rewards, (_, terminated, *_), env = play(scenario, 1.0, control_dt=control_dt, weights={"cap": 1e-3})
         assert terminated and -rewards.sum() <= 1e-3 * (20.0 + 1.0) * (1.0 + 1e-9)
-        error = env.lanes.task_values("duty_error")[0]
-        assert 0.0 < error < env.lanes.simulator.lane_values("step")[0] * 0.025
+        error = env.batch.task_values("duty_error")[0]
+        assert 0.0 < error < env.batch.simulator.env_values("step")[0] * 0.025
 
 
 def test_version_v1_ends_at_its_frequency_limit_and_sheds_load_before_the_lower_one():
@@ -314,11 +314,11 @@ def test_stopped_rotor_of_version_v1_trips_its_group_which_is_charged_on_or_ends
     _, (_, terminated, _, info), _ = play(sagging_v1, on_failure="terminate", **modes)
     assert terminated and info["termination_reason"] == "under-speed"
     rewards, (_, _, _, info), env = play(sagging_v1, observation_mode="privileged", **modes)
-    connected = env.lanes.simulator.wtg_values("connected")[0]
+    connected = env.batch.simulator.wtg_values("connected")[0]
     assert connected[1] == 0.0 and rewards.size > info["time_s"] * 10.0 - 1.0
     # It failed of itself: no event took it away, and its duty error grows.
     at = env.observation_names.index("exact1.mean_duty [0.05 of the available power]")
-    assert env.lanes.observations[0, at] < 0.0
+    assert env.batch.observations[0, at] < 0.0
 
 
 @pytest.mark.parametrize("version", VERSIONS)

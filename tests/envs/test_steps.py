@@ -1,4 +1,4 @@
-"""What a step is, told and charged, and that every lane of a batch is a single environment of its own."""
+"""What a step is, told and charged, and that every environment of a batch is a single environment of its own."""
 
 import itertools
 
@@ -27,7 +27,7 @@ def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.n
     """Return frequency, rotor speed and coefficient over an episode of zero actions (one of them minus zero)."""
     env = GFMWTGEnv(version="v0", scenario=scenario.to_dict(), **settings)
     _, info = env.reset(seed=0)
-    simulator = env.lanes.simulator
+    simulator = env.batch.simulator
     frequency, speed, coefficient = [], [], []
     over, zero = False, 0.0
     while True:
@@ -56,9 +56,9 @@ def test_action_on_k_moves_power_up_and_on_tau_only_the_transient():
     for mode, value in (("k", 1.0), ("k", -1.0), ("tau", 1.0), ("tau", -1.0)):
         env = GFMWTGEnv(scenario=calm().to_dict(), action_mode=mode, version="v0")
         env.reset(seed=0)
-        before = env.lanes.simulator.wtg_values("power")[0]
+        before = env.batch.simulator.wtg_values("power")[0]
         env.step(np.full(2, value))
-        change = env.lanes.simulator.wtg_values("power")[0] - before
+        change = env.batch.simulator.wtg_values("power")[0] - before
         assert (value * change > 1e-4).all() if mode == "k" else np.abs(change).max() < 1e-9
 
 
@@ -114,7 +114,7 @@ def test_observations_stay_in_their_space_and_no_entry_is_constant(version, acti
         assert env.observation_space.contains(seen[-1])
     values = np.stack(seen)
     assert values.dtype == np.float32 and np.isfinite(values).all()
-    names = env.lanes.observation_names
+    names = env.batch.observation_names
     assert len(names) == len(set(names)) == values.shape[-1]
     assert all("[" in name or "last_action" in name for name in names)
     spread = np.ptp(values.reshape(-1, values.shape[-1]), axis=0)
@@ -123,11 +123,11 @@ def test_observations_stay_in_their_space_and_no_entry_is_constant(version, acti
 
 def state(env: GFMWTGVectorEnv):
     """Return all that an environment carries on, but what the last interval cost: after an end that is nothing."""
-    simulator = env.lanes.simulator
+    simulator = env.batch.simulator
     return np.delete(simulator.blocks, simulator.layout.first_rows(COST, "cost"), axis=1)
 
 
-@pytest.mark.parametrize("n_lanes", [1, 3])
+@pytest.mark.parametrize("num_envs", [1, 3])
 @pytest.mark.parametrize(
     ("scenario", "settings"),
     [
@@ -137,15 +137,15 @@ def state(env: GFMWTGVectorEnv):
     ],
     ids=["drawn", "every event", "blackout"],
 )
-def test_a_step_is_five_intervals_with_its_action(scenario, settings, n_lanes):
+def test_a_step_is_five_intervals_with_its_action(scenario, settings, num_envs):
     held, fine = (
-        GFMWTGVectorEnv(n_lanes, duration_s=20.0, control_dt=dt, reward="cost", n_threads=1, **settings)
+        GFMWTGVectorEnv(num_envs, duration_s=20.0, control_dt=dt, reward="cost", n_threads=1, **settings)
         for dt in (None, 0.1)
     )
     for env in (held, fine):
-        env.reset(seed=0, options={"scenarios": [scenario] * n_lanes})
+        env.reset(seed=0, options={"scenarios": [scenario] * num_envs})
     n, within = 0, 0
-    for action in actions_of(2, N_STEPS, 1, held.single_action_space.shape[0]).repeat(n_lanes, axis=1):
+    for action in actions_of(2, N_STEPS, 1, held.single_action_space.shape[0]).repeat(num_envs, axis=1):
         observations, rewards, *ends, info = held.step(action)
         shares = []
         for _ in range(N_HELD):
@@ -166,14 +166,14 @@ def test_a_step_is_five_intervals_with_its_action(scenario, settings, n_lanes):
         if any(end.any() for end in ends):
             break
     assert ends[0].any() == (scenario is BLACKOUT) and (within < N_HELD or scenario is not BLACKOUT)
-    assert held.lanes.n_steps().tolist() == [-(-n // N_HELD)] * n_lanes
+    assert held.batch.n_steps().tolist() == [-(-n // N_HELD)] * num_envs
 
 
 SUITES_V1 = [name for name, suite in SUITES.items() if suite.task.version == "v1"]
 
 
 @pytest.mark.parametrize("suite", SUITES_V1)
-def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(suite):
+def test_env_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(suite):
     # Scenarios of other grids take long to draw: each grid has a mode of its own.
     for seed in range(3) if SUITES[suite].grid == DEFAULT_GRID else [SUITES_V1.index(suite) % 3]:
         action_mode = rollouts.ACTION_MODES[seed]
@@ -183,12 +183,12 @@ def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mod
         env = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=mode, n_threads=1 + seed % 2, **settings)
         # Episodes of five steps.
         actions = rollouts.actions_of(seed, 20, 17, env.single_action_space.shape[0])
-        lanes = rollouts.vector_steps(env, actions, seed=seed)
+        batch = rollouts.vector_steps(env, actions, seed=seed)
         env.close()
         single = GFMWTGEnv(duration_s=2.5, **settings)
-        for lane in (0, 11, 16):
-            assert lanes[lane] == rollouts.single_steps(single, actions[:, lane], mode, seed=seed + lane)
-            assert rollouts.n_resets(lanes[lane]) >= 2
+        for env_index in (0, 11, 16):
+            assert batch[env_index] == rollouts.single_steps(single, actions[:, env_index], mode, seed=seed + env_index)
+            assert rollouts.n_resets(batch[env_index]) >= 2
 
 
 def failing(version: str):
@@ -203,30 +203,34 @@ def failing(version: str):
 
 @pytest.mark.parametrize(("version", "n_steps", "reason"), [("v0", 420, "stall"), ("v1", 200, "under-speed")])
 @pytest.mark.parametrize("mode", rollouts.MODES)
-def test_lane_equals_the_single_environment_where_lanes_end_at_different_times(mode, version, n_steps, reason):
-    settings, n_lanes = failing(version), 17
-    actions = np.repeat(np.linspace(-1.0, 1.0, n_lanes)[None, :, None], n_steps, axis=0).repeat(
+def test_env_equals_the_single_environment_where_envs_end_at_different_times(mode, version, n_steps, reason):
+    settings, num_envs = failing(version), 17
+    actions = np.repeat(np.linspace(-1.0, 1.0, num_envs)[None, :, None], n_steps, axis=0).repeat(
         2 * rollouts.N_WTG[version], 2
     )
-    lanes = rollouts.vector_steps(GFMWTGVectorEnv(n_lanes, autoreset_mode=mode, **settings), actions, seed=0)
+    batch = rollouts.vector_steps(GFMWTGVectorEnv(num_envs, autoreset_mode=mode, **settings), actions, seed=0)
     single = GFMWTGEnv(**settings)
-    for lane, steps in enumerate(lanes):
-        assert steps == rollouts.single_steps(single, actions[:, lane], mode, seed=lane), f"lane {lane}"
-    ends = {tuple(i for i, step in enumerate(steps) if step[2]) for steps in lanes}
-    assert len(ends) > 5 and rollouts.reasons(lanes[-1]) == {reason}
+    for env_index, steps in enumerate(batch):
+        assert steps == rollouts.single_steps(single, actions[:, env_index], mode, seed=env_index), (
+            f"environment {env_index}"
+        )
+    ends = {tuple(i for i, step in enumerate(steps) if step[2]) for steps in batch}
+    assert len(ends) > 5 and rollouts.reasons(batch[-1]) == {reason}
 
 
 @pytest.mark.parametrize("version", rollouts.VERSIONS)
 @pytest.mark.parametrize("mode", rollouts.MODES)
-def test_lane_plays_its_own_scenario_and_then_draws(mode, version):
+def test_env_plays_its_own_scenario_and_then_draws(mode, version):
     n, n_wtg = 5, rollouts.N_WTG[version]
     actions = rollouts.actions_of(6, 70, n, 2 * n_wtg)
-    scenarios = [rollouts.eventful(7.0 + lane, duration_s=2.0 + 0.5 * lane, n_wtg=n_wtg) for lane in range(n)]
+    scenarios = [
+        rollouts.eventful(7.0 + env_index, duration_s=2.0 + 0.5 * env_index, n_wtg=n_wtg) for env_index in range(n)
+    ]
     env = GFMWTGVectorEnv(n, version=version, duration_s=4.0, autoreset_mode=mode)
-    lanes = rollouts.vector_steps(env, actions, seed=9, start={"scenarios": scenarios})
-    for lane, steps in enumerate(lanes):
-        single, start = GFMWTGEnv(version=version, duration_s=4.0), {"scenario": scenarios[lane]}
-        assert steps == rollouts.single_steps(single, actions[:, lane], mode, seed=9 + lane, start=start)
+    batch = rollouts.vector_steps(env, actions, seed=9, start={"scenarios": scenarios})
+    for env_index, steps in enumerate(batch):
+        single, start = GFMWTGEnv(version=version, duration_s=4.0), {"scenario": scenarios[env_index]}
+        assert steps == rollouts.single_steps(single, actions[:, env_index], mode, seed=9 + env_index, start=start)
         assert rollouts.n_resets(steps) >= 1
 
 

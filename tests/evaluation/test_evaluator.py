@@ -15,7 +15,7 @@ import wtg_gym
 from tests.envs import rollouts
 from tests.interruption import interrupted
 from wtg_gym import Entry, Plant, Results, TrackingLaw, evaluate, get_law, get_suite, load_entries, simulate
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import PolicyError
 from wtg_gym.evaluation.evaluator import Progress, departures, recompute
 from wtg_gym.evaluation.metrics import quasi_steady_deviation
@@ -97,7 +97,7 @@ def test_recurrent_state_is_passed_on_and_starts_anew_in_every_batch():
     assert whole.episodes == results.episodes
 
 
-def test_failed_episode_is_kept_and_its_lane_ignores_actions():
+def test_failed_episode_is_kept_and_its_env_ignores_actions():
     last = [None]
 
     def drain(observation, step: int):
@@ -111,7 +111,7 @@ def test_failed_episode_is_kept_and_its_lane_ignores_actions():
     results = evaluate([entry], "low-wind", "test", seeds=range(20_000, 20_008), duration_s=60.0)
     episodes = results.episodes_of("drain")
     failed = [episode for episode in episodes if episode.failed]
-    assert failed and len(failed) < len(episodes), "the test needs lanes that end at different times"
+    assert failed and len(failed) < len(episodes), "the test needs environments that end at different times"
     for episode in failed:
         assert episode.failure == "stall"
         assert episode.metrics["survived_s"] < 60.0 and episode.metrics["cost_failure"] > 0.0
@@ -232,9 +232,9 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(re
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to a thread")
 def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch):
-    step, main, steps = TaskLanes.step, threading.get_ident(), []
+    step, main, steps = EnvBatch.step, threading.get_ident(), []
 
-    def interrupting(lanes: TaskLanes, *arguments) -> None:
+    def interrupting(batch: EnvBatch, *arguments) -> None:
         if threading.get_ident() != main:
             steps.append(arguments)
             if len(steps) == 3:
@@ -242,9 +242,9 @@ def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch)
                 # Between two answers, while the main thread closes the policy for the first time.
                 time.sleep(0.5)
             time.sleep(0.02)
-        step(lanes, *arguments)
+        step(batch, *arguments)
 
-    monkeypatch.setattr(TaskLanes, "step", interrupting)
+    monkeypatch.setattr(EnvBatch, "step", interrupting)
     with pytest.raises(KeyboardInterrupt):
         evaluate("linear-feedback", "standard", seeds=[10_000], duration_s=100.0)
     assert 3 <= len(steps) < 1000, "the episodes were not played to their end"

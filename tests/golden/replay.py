@@ -54,7 +54,7 @@ def sampled(simulator: Simulator, time_s: np.ndarray, look: Callable[[Simulator]
         interval = wanted
         simulator.evaluate()
         seen.append(look(simulator))
-    assert simulator.lane_values("status")[0] == 0.0
+    assert simulator.env_values("status")[0] == 0.0
     return seen
 
 
@@ -81,7 +81,7 @@ def _require_power_flow(case: Case, simulator: Simulator) -> None:
 
 
 def _columns(simulator: Simulator) -> np.ndarray:
-    reference, power, voltage = simulator.lane_values("angle"), machine_powers(simulator), simulator.bus_voltages()
+    reference, power, voltage = simulator.env_values("angle"), machine_powers(simulator), simulator.bus_voltages()
     return np.concatenate(
         [
             simulator.machine_values("speed")[0],

@@ -16,7 +16,7 @@ from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.protection import Status
 from wtg_gym.tasks.cost import COST_TERMS
 
-N_LANES = 3
+NUM_ENVS = 3
 #: Their machine code is that of the programs of docs/gradients.md, whose actions are held.
 V1 = {"version": "v1", "control_dt": 0.1}
 KUNDUR = {**V1, "grid": "kundur"}
@@ -39,14 +39,14 @@ OTHERS = {
     **{"plant": {"machine_model": "classical"}, "control_dt": 0.5, "weights": {"cap": 5000.0}},
     **{"action_mode": "tau", "observation_mode": "privileged", "strategy": "coordinated-piecewise"},
 }
-ZEROS = np.zeros((5, N_LANES, 4))
+ZEROS = np.zeros((5, NUM_ENVS, 4))
 BAD = [
-    (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 9))), "shape"),
+    (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, NUM_ENVS, 9))), "shape"),
     (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"duty": np.nan}), "finite"),
-    # One would have been played in all lanes.
+    # One would have been played in all environments.
     (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per environment"),
     *((lambda _, __, name=name: getattr(unused(), name)(), "start") for name in ("law", "outputs", "back")),
-    (lambda tape, scenarios: unused().step(np.zeros((N_LANES, 4))), "start"),
+    (lambda tape, scenarios: unused().step(np.zeros((NUM_ENVS, 4))), "start"),
     (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),
     (lambda tape, scenarios: tape.start(scenarios) is not tape.set_law(tape.law() * np.nan), "finite"),
     (lambda tape, scenarios: pulled(tape, 1), "no step 1: since start.. 1 have"),
@@ -56,26 +56,26 @@ BAD = [
     (lambda tape, own: check_by_differences(tape, own, ZEROS, direction=np.ones(3)), "direction must be"),
     (lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, {"power": 1.0}), "unknown terms"),
     # More steps than were taken, the last of which would have counted nothing.
-    (lambda tape, scenarios: tape.back(outputs=np.zeros((2, N_LANES, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
+    (lambda tape, scenarios: tape.back(outputs=np.zeros((2, NUM_ENVS, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
 ]
 
 
 @functools.cache
 def tape_of(**settings) -> Tape:
-    return Tape(EnvSettings(**{"version": "v0", **settings}), N_LANES, 1)
+    return Tape(EnvSettings(**{"version": "v0", **settings}), NUM_ENVS, 1)
 
 
 def drawn(tape: Tape, first: int = 1_000_000) -> list[sc.Scenario]:
-    return tape.lanes.scenarios(list(range(first, first + N_LANES)))
+    return tape.batch.scenarios(list(range(first, first + NUM_ENVS)))
 
 
 def actions_of(tape: Tape, n_steps: int, scale: float = 0.4) -> np.ndarray:
-    shape = (n_steps, N_LANES, tape.lanes.n_action)
+    shape = (n_steps, NUM_ENVS, tape.batch.n_action)
     return np.random.default_rng(1).uniform(-scale, scale, shape)
 
 
 def played(tape: Tape, scenarios: list[sc.Scenario], actions: np.ndarray, law: np.ndarray | None = None) -> np.ndarray:
-    """Terms of the cost of every lane (n_lanes, n_terms), by the environment alone."""
+    """Terms of the cost of every environment (num_envs, n_terms), by the environment alone."""
     tape.start(scenarios)
     if law is not None:
         tape.set_law(law)
@@ -110,21 +110,21 @@ def test_a_step_is_replayed_to_the_last_bit(settings, monkeypatch):
     tape.start(drawn(tape))
     for own in actions_of(tape, 60):
         tape.step(own)
-    simulator, after = tape.lanes.simulator, list[np.ndarray]()
+    simulator, after = tape.batch.simulator, list[np.ndarray]()
 
     def kept(blocks: np.ndarray, *others) -> None:
         pull(blocks, *others)
         after.append(blocks.copy())
 
     monkeypatch.setattr("wtg_gym.gradients.tape.pull", kept)
-    carried, terms = np.zeros((N_LANES, tape.n_carried)), np.ones((N_LANES, len(COST_TERMS)))
+    carried, terms = np.zeros((NUM_ENVS, tape.n_carried)), np.ones((NUM_ENVS, len(COST_TERMS)))
     for step in range(60):
         tape.pull(step, carried, terms)
     # An episode that is over stands still in the next step's blocks, and runs at the end of its own.
-    active = int(simulator.layout.lane("active"))
+    active = int(simulator.layout.env("active"))
     expected = [*(tape.before(step) for step in range(1, 60)), simulator.blocks]
     for ours, theirs in zip(after, expected, strict=True):
-        values = (blocks[:, :, :N_LANES] for blocks in (ours, theirs))
+        values = (blocks[:, :, :NUM_ENVS] for blocks in (ours, theirs))
         result, given = (np.delete(own, active, axis=1) for own in values)
         assert np.array_equal(result, given)
 
@@ -159,7 +159,7 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(set
     result = tape.gradient(scenarios, actions)
     tape.start(scenarios)
     law = tape.law()
-    assert np.array_equal(law[0, 0, :3], [getattr(tape.lanes.laws[0], k) for k in ("k_min", "k_nominal", "k_max")])
+    assert np.array_equal(law[0, 0, :3], [getattr(tape.batch.laws[0], k) for k in ("k_min", "k_nominal", "k_max")])
     for place in np.ndindex(law.shape[1:]):
         # k_nominal moves the start onto another branch of a law soon; of the others rounding would show.
         one = np.zeros_like(law)
@@ -180,19 +180,19 @@ def test_a_held_step_has_the_gradient_of_its_intervals():
     ]
     actions = actions_of(held, 24)
     result, intervals = agrees(held, scenarios, actions), fine.gradient(scenarios, actions.repeat(5, axis=0))
-    ended = held.lanes.simulator.lane_values("step") / 4
-    assert held.lanes.statuses().tolist()[2] == 0 and (ended % 5.0 > 0.0).tolist() == [True, True, False]
+    ended = held.batch.simulator.env_values("step") / 4
+    assert held.batch.statuses().tolist()[2] == 0 and (ended % 5.0 > 0.0).tolist() == [True, True, False]
     assert result.terms == pytest.approx(intervals.terms, rel=1e-12)
     assert result.law == pytest.approx(intervals.law, rel=1e-9)
     assert result.actions == pytest.approx(intervals.actions.reshape(24, 5, *actions.shape[1:]).sum(axis=1), rel=1e-9)
     # What a step shows is what its last interval does, and that of an episode's end.
-    shown = np.random.default_rng(4).normal(size=(24, N_LANES, len(held.output_names)))
-    parts = np.zeros((120, N_LANES, shown.shape[2]))
+    shown = np.random.default_rng(4).normal(size=(24, NUM_ENVS, len(held.output_names)))
+    parts = np.zeros((120, NUM_ENVS, shown.shape[2]))
     last = np.minimum(5 * np.arange(24)[:, np.newaxis] + 4, np.ceil(ended).astype(int) - 1)
-    for lane in range(N_LANES):
+    for env in range(NUM_ENVS):
         for step in range(24):
-            if 5 * step <= last[step, lane]:
-                parts[last[step, lane], lane] = shown[step, lane]
+            if 5 * step <= last[step, env]:
+                parts[last[step, env], env] = shown[step, env]
     held.play(scenarios, actions)
     for ours, theirs in zip(held.back(None, shown)[1:], fine.back(None, parts)[1:], strict=True):
         assert ours == pytest.approx(theirs, rel=1e-9)
@@ -201,14 +201,14 @@ def test_a_held_step_has_the_gradient_of_its_intervals():
 @pytest.mark.parametrize(("settings", "events"), [({}, OUTAGES), (V1, OUTAGES_V1)])
 def test_the_gradient_goes_through_events(settings, events):
     tape = tape_of(**settings)
-    agrees(tape, [given(tape.lanes.n_wtg, *own) for own in events], actions_of(tape, 60))
+    agrees(tape, [given(tape.batch.n_wtg, *own) for own in events], actions_of(tape, 60))
 
 
 def test_the_gradient_goes_through_the_stabilisers_of_another_grid():
     tape = tape_of(**KUNDUR)
     steps = [sc.LoadStep(time_s=at, bus=9, power_mw=mw) for at, mw in ((0.5, 150.0), (2.0, -99.0))]
     agrees(tape, [given(2, *steps, wind=wind, bus=9) for wind in (8.5, 9.0, 10.0)], actions_of(tape, 60))
-    assert any(machine.stabiliser for machine in tape.lanes.settings.resolved_plant.case.machines)
+    assert any(machine.stabiliser for machine in tape.batch.settings.resolved_plant.case.machines)
 
 
 def test_the_gradient_goes_through_the_limits_of_the_pitch():
@@ -220,7 +220,7 @@ def test_the_gradient_goes_through_the_limits_of_the_pitch():
         for mean in (9.5, 10.0, 10.5)
     ]
     agrees(tape, scenarios, actions_of(tape, 300, 0.3))
-    row = tape.lanes.simulator.layout.wtg("pitch_integral")
+    row = tape.batch.simulator.layout.wtg("pitch_integral")
     turned = np.array([tape._rows(row, block) > 0.0 for block in map(tape.before, range(300))]).any(axis=(1, 2))
     # The controller acts, comes to rest at its limit, and acts again.
     assert np.count_nonzero(np.diff(turned.astype(int))) >= 3
@@ -233,23 +233,23 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers():
     actions = actions_of(tape, 80, 0.2)
     agrees(tape, scenarios, actions)
     tape.start(scenarios)
-    limited, over_power = np.zeros(N_LANES, dtype=int), np.zeros(N_LANES)
+    limited, over_power = np.zeros(NUM_ENVS, dtype=int), np.zeros(NUM_ENVS)
     for own in actions:
         tape.step(own)
-        limited += (tape.lanes.simulator.wtg_values("limiting_reactance") > 0.0).any(axis=1)
-        over_power = np.minimum(over_power, tape.lanes.simulator.wtg_values("over_power").min(axis=1))
+        limited += (tape.batch.simulator.wtg_values("limiting_reactance") > 0.0).any(axis=1)
+        over_power = np.minimum(over_power, tape.batch.simulator.wtg_values("over_power").min(axis=1))
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
 
 
 @pytest.mark.parametrize("settings", [{}, OTHERS], ids=["usual", "others"])
 def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid(settings):
-    tape = Tape(EnvSettings(version="v0", **settings), N_LANES, 1)
+    tape = Tape(EnvSettings(version="v0", **settings), NUM_ENVS, 1)
     scenarios = [given(2, sc.LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (600.0, -300.0, 20.0)]
     actions = actions_of(tape, 60, 0.2)
     result = agrees(tape, scenarios, actions)
     played(tape, scenarios, actions)
-    ended = tape.lanes.simulator.lane_values("step") / tape.lanes.simulator.plant.network.facts.n_substeps
-    statuses = tape.lanes.statuses()
+    ended = tape.batch.simulator.env_values("step") / tape.batch.simulator.plant.network.facts.n_substeps
+    statuses = tape.batch.statuses()
     assert (statuses[:2] != Status.RUNNING).all() and (ended[:2] < 50).all()
     assert statuses[2] == Status.RUNNING and (not settings or (ended[:2] % 1.0 > 0.0).all())
     # The cost of the failure is constant, and steps after it have no effect.
@@ -265,7 +265,7 @@ def test_observations_have_gradients(settings):
     tape = tape_of(**settings)
     scenarios, actions = drawn(tape), actions_of(tape, 60)
     rng = np.random.default_rng(5)
-    way, weights = rng.normal(size=actions.shape), rng.normal(size=(60, N_LANES, tape.lanes.n_observation))
+    way, weights = rng.normal(size=actions.shape), rng.normal(size=(60, NUM_ENVS, tape.batch.n_observation))
 
     def weighed(given: np.ndarray) -> np.ndarray:
         # As the simulator holds them, before they are rounded to 32 bits.
@@ -273,12 +273,16 @@ def test_observations_have_gradients(settings):
         result = []
         for own in given:
             tape.step(own)
-            scratch = tape.lanes.simulator.scratches[0]
-            result.append(scratch[tape.lanes.task_data.observed, :N_LANES].T)
+            scratch = tape.batch.simulator.scratches[0]
+            result.append(scratch[tape.batch.task_data.observed, :NUM_ENVS].T)
         return np.einsum("klo,klo->l", weights, np.array(result))
 
     expected = central(lambda h: weighed(actions + h * way))
-    carried, terms, total = np.zeros((N_LANES, tape.n_carried)), np.zeros((N_LANES, len(COST_TERMS))), np.zeros(N_LANES)
+    carried, terms, total = (
+        np.zeros((NUM_ENVS, tape.n_carried)),
+        np.zeros((NUM_ENVS, len(COST_TERMS))),
+        np.zeros(NUM_ENVS),
+    )
     for step in range(59, -1, -1):
         carried, own, *_ = tape.pull(step, carried, terms, weights[step])
         total += np.einsum("la,la->l", own, way[step])
@@ -291,7 +295,7 @@ AT_REST = [given(2, sc.LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in
 
 def test_a_plant_at_rest_has_the_slopes_of_the_law_whose_lower_part_goes_on_straight():
     tape = tape_of()
-    actions = np.zeros((40, N_LANES, 4))
+    actions = np.zeros((40, NUM_ENVS, 4))
     way = np.random.default_rng(3).normal(size=actions.shape) * (np.arange(40) < 10)[:, np.newaxis, np.newaxis]
     result = along(tape.gradient(AT_REST, actions), way)
     tape.start(AT_REST)
@@ -317,17 +321,17 @@ def test_the_check_shows_a_wrong_gradient(monkeypatch):
 
     monkeypatch.setattr(tape, "gradient", wrong)
     checked = check_by_differences(tape, drawn(tape), actions_of(tape, 20))
-    assert checked[0].error == pytest.approx(np.full(N_LANES, 0.01 / 1.01), rel=1e-2)
+    assert checked[0].error == pytest.approx(np.full(NUM_ENVS, 0.01 / 1.01), rel=1e-2)
     assert (checked[1].error < 1e-5).all()
 
 
 @functools.cache
 def unused() -> Tape:
-    return Tape(tape_of().lanes.settings, N_LANES, 1)
+    return Tape(tape_of().batch.settings, NUM_ENVS, 1)
 
 
 def pulled(tape: Tape, step: int, **other):
-    given = {"carried": np.zeros((N_LANES, tape.n_carried)), "terms": np.zeros((N_LANES, len(COST_TERMS)))}
+    given = {"carried": np.zeros((NUM_ENVS, tape.n_carried)), "terms": np.zeros((NUM_ENVS, len(COST_TERMS)))}
     return tape.pull(step, **given | other)
 
 
@@ -335,7 +339,7 @@ def pulled(tape: Tape, step: int, **other):
 def test_bad_input_is_refused(call, reason):
     tape = tape_of()
     scenarios = drawn(tape)
-    tape.gradient(scenarios, np.zeros((1, N_LANES, 4)))
+    tape.gradient(scenarios, np.zeros((1, NUM_ENVS, 4)))
     with pytest.raises(ValueError, match=reason):
         call(tape, scenarios)
 
@@ -343,15 +347,15 @@ def test_bad_input_is_refused(call, reason):
 def test_the_gradient_goes_through_secondary_control():
     tape, step = tape_of(**V1), sc.LoadStep(time_s=1.0, bus=4, power_mw=30.0)
     agrees(tape, [given(4, step, wind=wind) for wind in (9.0, 10.0, 11.0)], actions_of(tape, 300, 0.2))
-    reference = tape.lanes.simulator.machine_values("gate_reference")[:, 0]
-    tape.start([given(4, step)] * N_LANES)
-    assert (np.abs(reference - tape.lanes.simulator.machine_values("gate_reference")[:, 0]) > 1e-3).any()
+    reference = tape.batch.simulator.machine_values("gate_reference")[:, 0]
+    tape.start([given(4, step)] * NUM_ENVS)
+    assert (np.abs(reference - tape.batch.simulator.machine_values("gate_reference")[:, 0]) > 1e-3).any()
 
 
 def test_a_plant_with_a_hydro_governor_and_a_rotor_table_has_gradients_too():
     given = dataclasses.replace(EnvSettings(version="v0", duration_s=10.0), plant=plant(table=True))
     tape = Tape(given, 2, 1)
-    scenarios = [tape.lanes.suite.scenario(seed, duration_s=10.0) for seed in (10_000, 10_001)]
-    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 2, tape.lanes.n_action))
+    scenarios = [tape.batch.suite.scenario(seed, duration_s=10.0) for seed in (10_000, 10_001)]
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 2, tape.batch.n_action))
     for result in check_by_differences(tape, scenarios, actions):
         assert result.error.max() <= 1e-5, result.name

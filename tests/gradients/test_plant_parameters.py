@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from wtg_gym import GovernorLoss, LoadStep, MachineOutage, Plant, Scenario
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.plant_parameters import known_parameters, with_parameters
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.tasks.cost import COST_TERMS
 
-N_STEPS, N_LANES = 120, 3
+N_STEPS, NUM_ENVS = 120, 3
 SETTINGS = EnvSettings(version="v0")
 #: At 0 the dead band is a corner.
 PLANT = with_parameters(SETTINGS.resolved_plant, {"machines.1.governor.dead_band_pu": 2e-4})
@@ -30,36 +30,36 @@ BAD = [
 
 @functools.cache
 def tape() -> Tape:
-    return Tape(dataclasses.replace(SETTINGS, plant=PLANT), N_LANES, 1, tuple(KNOWN))
+    return Tape(dataclasses.replace(SETTINGS, plant=PLANT), NUM_ENVS, 1, tuple(KNOWN))
 
 
 @functools.cache
 def given() -> tuple[list[Scenario], np.ndarray, np.ndarray]:
     """Scenarios (a pitch controller acts in the last), actions, and weights of the outputs."""
     rng = np.random.default_rng(1)
-    actions = rng.uniform(-0.4, 0.4, (N_STEPS, N_LANES, 4))
+    actions = rng.uniform(-0.4, 0.4, (N_STEPS, NUM_ENVS, 4))
     time = np.arange(0.0, 31.0, 0.1)
     wind = (np.full((2, 1), 8.0), np.full((2, 1), 9.0), np.tile(11.5 + 1.5 * np.sin(time), (2, 1)))
     power = (20.0, -30.0, 15.0)
     scenarios = [
-        Scenario(name="given", wind_speed=wind[lane], events=(LoadStep(time_s=1.0, bus=4, power_mw=power[lane]),))
-        for lane in range(N_LANES)
+        Scenario(name="given", wind_speed=wind[env], events=(LoadStep(time_s=1.0, bus=4, power_mw=power[env]),))
+        for env in range(NUM_ENVS)
     ]
-    return scenarios, actions, rng.normal(size=(N_STEPS, N_LANES, 8))
+    return scenarios, actions, rng.normal(size=(N_STEPS, NUM_ENVS, 8))
 
 
 def weighed(plant: Plant, scenarios: list[Scenario], actions: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Cost and weighed outputs of each episode (n_lanes,), in a plant built anew, by the environment alone."""
-    lanes = TaskLanes(dataclasses.replace(SETTINGS, plant=plant), N_LANES, 1)
-    lanes.start(list(range(N_LANES)), scenarios)
-    total = np.zeros(N_LANES)
+    """Cost and weighed outputs of each episode (num_envs,), in a plant built anew, by the environment alone."""
+    batch = EnvBatch(dataclasses.replace(SETTINGS, plant=plant), NUM_ENVS, 1)
+    batch.start(list(range(NUM_ENVS)), scenarios)
+    total = np.zeros(NUM_ENVS)
     for own, weight in zip(actions, weights, strict=True):
-        lanes.step(own)
-        shown = [lanes.simulator.lane_values("coi"), lanes.task_values("rocof")]
+        batch.step(own)
+        shown = [batch.simulator.env_values("coi"), batch.task_values("rocof")]
         total += weight[:, 0] * shown[0] + weight[:, 1] * shown[1]
-        total += (weight[:, 2:4] * lanes.simulator.wtg_values("rotor_speed")).sum(axis=1)
-        total += (weight[:, 4:] * lanes.simulator.machine_values("speed")).sum(axis=1)
-    return total + lanes.cost_sums().sum(axis=1)
+        total += (weight[:, 2:4] * batch.simulator.wtg_values("rotor_speed")).sum(axis=1)
+        total += (weight[:, 4:] * batch.simulator.machine_values("speed")).sum(axis=1)
+    return total + batch.cost_sums().sum(axis=1)
 
 
 @functools.cache
@@ -111,7 +111,7 @@ def test_a_scenarios_droop_is_the_droop_in_force_until_a_governor_is_lost():
 
 
 def column(name: str, scenarios: list[Scenario], weights: np.ndarray) -> np.ndarray:
-    """Gradient of cost and weighed outputs with respect to a parameter (n_lanes,)."""
+    """Gradient of cost and weighed outputs with respect to a parameter (num_envs,)."""
     tape().play(scenarios, given()[1])
     return tape().back(np.ones(len(COST_TERMS)), weights)[2][:, list(KNOWN).index(name)]
 
@@ -128,7 +128,7 @@ def test_inertia_is_scaled_by_scenarios_and_gone_with_its_machine():
     ]
     # After its end an episode shows what it showed last, which is not differentiated.
     tape().play(scenarios, actions)
-    ended = int(tape().lanes.simulator.lane_values("step")[2] // 4)
+    ended = int(tape().batch.simulator.env_values("step")[2] // 4)
     assert ended < N_STEPS - 20
     weights = weights.copy()
     weights[ended:, 2] = 0.0
@@ -142,7 +142,7 @@ def test_inertia_is_scaled_by_scenarios_and_gone_with_its_machine():
 def test_other_values_are_those_of_a_rebuilt_plant():
     scenarios, actions, weights = given()
     values = {"control.inertia_constant_s": 3.5, "machines.1.governor.droop_pu": 0.03}
-    rebuilt = Tape(dataclasses.replace(SETTINGS, plant=with_parameters(PLANT, values)), N_LANES, 1, tuple(KNOWN))
+    rebuilt = Tape(dataclasses.replace(SETTINGS, plant=with_parameters(PLANT, values)), NUM_ENVS, 1, tuple(KNOWN))
     tape().set_parameters(values)
     assert tape().parameter_values() == {**KNOWN, **values}
     with pytest.raises(ValueError, match="start"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.gradients.test_gradients import N_LANES, actions_of, drawn, tape_of
+from tests.gradients.test_gradients import NUM_ENVS, actions_of, drawn, tape_of
 from wtg_gym.physics.scenario import Scenario
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
@@ -11,7 +11,7 @@ from wtg_gym.gradients.torch import TorchEpisodes  # noqa: E402
 
 
 def episodes_of(**settings) -> TorchEpisodes:
-    return TorchEpisodes(tape_of(**settings).lanes.settings, N_LANES, 1)
+    return TorchEpisodes(tape_of(**settings).batch.settings, NUM_ENVS, 1)
 
 
 def has_slope(cost, parameter, gradient) -> None:
@@ -26,7 +26,7 @@ def has_slope(cost, parameter, gradient) -> None:
 
 
 def segments(episodes, scenarios: list[Scenario], policy, cut: int, n_steps: int):
-    """Return the costs of the steps before and from a cut on, each of every lane (n_lanes,)."""
+    """Return the costs of the steps before and from a cut on, each of every environment (num_envs,)."""
     observations, costs = episodes.start(scenarios), [0.0, 0.0]
     for step in range(n_steps):
         if step == cut:
@@ -38,10 +38,10 @@ def segments(episodes, scenarios: list[Scenario], policy, cut: int, n_steps: int
 
 def test_a_truncated_gradient_is_that_of_a_segment_from_where_it_began():
     episodes, cut, n_steps = episodes_of(), 30, 55
-    lanes = episodes.tape.lanes
+    batch = episodes.tape.batch
     scenarios = drawn(episodes.tape)
     torch.manual_seed(0)
-    first, second = (torch.nn.Linear(lanes.n_observation, lanes.n_action).double() for _ in range(2))
+    first, second = (torch.nn.Linear(batch.n_observation, batch.n_action).double() for _ in range(2))
     policy = [first] * cut + [second] * (n_steps - cut)
     before, after = segments(episodes, scenarios, policy, cut, n_steps)
     after.sum().backward()
@@ -61,7 +61,7 @@ def test_a_policy_and_a_law_have_gradients_by_backward():
     scenarios = drawn(episodes.tape)
     episodes.start(scenarios)
     torch.manual_seed(0)
-    policy = torch.nn.Linear(episodes.tape.lanes.n_observation, episodes.tape.lanes.n_action).double()
+    policy = torch.nn.Linear(episodes.tape.batch.n_observation, episodes.tape.batch.n_action).double()
     law = torch.tensor(episodes.tape.law()[0], requires_grad=True)
 
     def cost():
@@ -80,7 +80,7 @@ def test_a_policy_and_a_law_have_gradients_by_backward():
     with pytest.raises(ValueError, match=r"law must have the shape \(2, 4\)"):
         episodes.start(scenarios, torch.ones(4))
     with pytest.raises(ValueError, match="start"):
-        episodes_of().step(torch.zeros(N_LANES, 4))
+        episodes_of().step(torch.zeros(NUM_ENVS, 4))
 
 
 @pytest.mark.parametrize("settings", [{}, {"version": "v1"}])
@@ -111,7 +111,7 @@ def test_episodes_go_on_from_a_snapshot_as_often_as_asked():
     episodes.start(drawn(episodes.tape))
     for actions in before:
         episodes.step(actions)
-    snapshot = episodes.tape.lanes.snapshot()
+    snapshot = episodes.tape.batch.snapshot()
     results = []
     for resumed in (False, True, True):
         if resumed:

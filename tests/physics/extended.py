@@ -73,10 +73,10 @@ def recorded(simulator: Simulator, seconds: float, *names: str, act=None) -> dic
         if act is not None:
             simulator.blocks[0, simulator.layout.wtg("k_offset"), 0] = act(interval)
         simulator.advance()
-        result["coi"].append(simulator.lane_values("coi")[0])
+        result["coi"].append(simulator.env_values("coi")[0])
         for name in names:
             result[name].append(simulator.wtg_values(name)[0])
-        if simulator.lane_values("active")[0] < 0.5:
+        if simulator.env_values("active")[0] < 0.5:
             break
     return {name: np.array(values) for name, values in result.items()}
 

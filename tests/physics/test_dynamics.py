@@ -86,16 +86,16 @@ def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trip
     simulator.start(0, get_suite("paper").scenario(0), (STRATEGIES["mppt"],) * 2)
     recorded(simulator, 100.0)
     if trips:
-        assert simulator.lane_values("status")[0] == Status.RUNNING
-        assert simulator.lane_values("step")[0] == 1000 * simulator.plant.network.facts.n_substeps
+        assert simulator.env_values("status")[0] == Status.RUNNING
+        assert simulator.env_values("step")[0] == 1000 * simulator.plant.network.facts.n_substeps
         assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
         assert simulator.wtg_values("trip_cause")[0].tolist() == [0.0, TripCause.STALL]
         assert simulator.wtg_values("power")[0, 1] == 0.0
         # The others carry the lost group's share at a lower frequency.
-        assert 0.98 < simulator.lane_values("coi")[0] < 0.9953
+        assert 0.98 < simulator.env_values("coi")[0] < 0.9953
     else:
-        assert simulator.lane_values("status")[0] == Status.STALL
-        assert simulator.lane_values("step")[0] < 2500.0
+        assert simulator.env_values("status")[0] == Status.STALL
+        assert simulator.env_values("step")[0] < 2500.0
         before, peak = simulator.state(), simulator.wtg_values("peak_power")
         simulator.advance()
         assert (simulator.state() == before).all() and (simulator.wtg_values("peak_power") == peak).all()
@@ -109,9 +109,9 @@ def test_limits_out_of_reach_leave_the_papers_plant_as_it_is(suite, seed, strate
     what = get_suite(suite).scenario(seed)
     paper, unlimited = (started(plant, what, strategy, what.duration_s) for plant in (Plant(pitch=NO_PITCH), UNLIMITED))
     expected, result = (recorded(run, what.duration_s, "rotor_speed", "power", "emf") for run in (paper, unlimited))
-    assert paper.lane_values("status")[0] == unlimited.lane_values("status")[0] == status
+    assert paper.env_values("status")[0] == unlimited.env_values("status")[0] == status
     assert all(result[name] == pytest.approx(values, rel=0.0, abs=1e-9) for name, values in expected.items())
-    assert unlimited.lane_values("coi_min")[0] == pytest.approx(paper.lane_values("coi_min")[0], abs=1e-11)
+    assert unlimited.env_values("coi_min")[0] == pytest.approx(paper.env_values("coi_min")[0], abs=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_limits_are_held_and_left_without_wind_up(table, disturbance):
     start = simulator.state()
     names = ("current", "limiting_reactance", "over_power", "under_power", "internal_voltage", "power")
     result = extended.recorded(simulator, 180.0, *names)
-    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("status")[0] == Status.RUNNING
     assert (result["limiting_reactance"] > 0.0).any()
     assert result["current"].max() <= extended.CURRENT_MAX * (1.0 + 1e-9)
     control = settings.voltage_control

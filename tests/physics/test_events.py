@@ -75,7 +75,7 @@ def test_the_reduced_network_is_the_whole_one_through_every_kind_of_event(simula
     for _ in range(40):
         simulator.advance()
         check_network(simulator)
-    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("status")[0] == Status.RUNNING
     assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
     assert simulator.machine_values("connected")[0].tolist() == [1.0, 1.0, 0.0, 1.0]
 
@@ -95,7 +95,7 @@ def test_a_load_ramp_is_a_staircase_whose_steps_are_the_means_of_the_intervals_a
     assert result[0] == pytest.approx(result[1], abs=1e-12)
 
 
-def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator):
+def test_a_env_that_starts_again_has_all_its_units_and_governors(simulator):
     simulator.start(0, scenario(), LAWS)
     fresh = simulator.blocks.copy()
     simulator.start(0, scenario(*ALL), LAWS)
@@ -130,7 +130,7 @@ def test_a_line_that_clears_a_fault_is_a_line_that_trips_then():
     for events in both:
         simulator = started(plant(), scenario(*events))
         recorded(simulator, 5.0)
-        assert simulator.lane_values("status")[0] == Status.RUNNING
+        assert simulator.env_values("status")[0] == Status.RUNNING
         ends.append(simulator.blocks.copy())
     assert (ends[0] == ends[1]).all()
 
@@ -185,9 +185,9 @@ def test_a_chopper_heats_by_what_it_burns_and_cools_and_a_group_with_a_full_one_
         heat, burnt = heat * np.exp(-0.025 / 5.0) + now - burnt, now
         assert simulator.wtg_values("heat")[0] == pytest.approx(heat, abs=1e-12)
         fullest = np.maximum(fullest, heat)
-        if simulator.lane_values("step")[0] % 4 == 0:
+        if simulator.env_values("step")[0] % 4 == 0:
             assert (simulator.wtg_values("connected")[0] == was * (heat <= 0.015)).all()
-    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("status")[0] == Status.RUNNING
     assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
     assert simulator.wtg_values("trip_cause")[0].tolist() == [0.0, TripCause.CHOPPER]
     assert 0.015 < fullest[1] < 0.02 and heat[1] < 0.2 * fullest[1] and fullest[0] == 0.0
@@ -212,7 +212,7 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
         speed = simulator.wtg_values("speed")[0] + simulator.wtg_values("shift")[0]
         speed = np.concatenate([simulator.machine_values("speed")[0], speed])
         weights = np.concatenate([machines, groups])
-        centre = simulator.lane_values("coi")[0]
+        centre = simulator.env_values("coi")[0]
         assert centre - 1.0 == pytest.approx(weights @ (speed - 1.0) / weights.sum(), abs=1e-14)
         result.append([simulator.blocks[0, row, 0], *speed])
     imposed, units = np.array(result)[:, 0], np.array(result)[:, 1:]
@@ -221,7 +221,7 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
     rate = np.diff(units[40:69], axis=0) / 0.1
     assert rate.mean() == pytest.approx(-0.001, rel=0.02)
     assert units[-1] == pytest.approx(0.994, abs=1e-9)
-    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("status")[0] == Status.RUNNING
     assert numbers(simulator, BUSES, "frequency") == pytest.approx(0.994, abs=1e-9)
 
 
@@ -245,11 +245,11 @@ def test_the_angle_between_two_voltages_is_exact_near_half_a_turn_too(at, turn):
 
 def test_a_local_frequency_is_the_filtered_turn_of_the_voltage():
     simulator = started(plant(simulation_dt=0.0025), scenario(sc.LoadStep(time_s=1.0, bus=9, power_mw=60.0)))
-    expected, before = np.ones(14), simulator.bus_voltages() * np.exp(1j * simulator.lane_values("angle")[0])
+    expected, before = np.ones(14), simulator.bus_voltages() * np.exp(1j * simulator.env_values("angle")[0])
     lowest = 1.0
     for _ in range(60):
         simulator.advance()
-        now = simulator.bus_voltages() * np.exp(1j * simulator.lane_values("angle")[0])
+        now = simulator.bus_voltages() * np.exp(1j * simulator.env_values("angle")[0])
         measured = 1.0 + np.angle(now / before) / (2.0 * np.pi * 50.0 * 0.1)
         expected += (1.0 - math.exp(-0.1 / FILTER_S)) * (measured - expected)
         assert numbers(simulator, BUSES, "frequency") == pytest.approx(expected, abs=1e-7)
@@ -258,7 +258,7 @@ def test_a_local_frequency_is_the_filtered_turn_of_the_voltage():
             [simulator.machine_values("speed")[0], simulator.wtg_values("speed")[0] + simulator.wtg_values("shift")[0]]
         )
         lowest = min(lowest, expected.min(), units.min())
-        assert simulator.lane_values("worst_min")[0] == pytest.approx(lowest, abs=1e-7)
+        assert simulator.env_values("worst_min")[0] == pytest.approx(lowest, abs=1e-7)
     assert lowest < 0.998
 
 
@@ -274,7 +274,7 @@ def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating():
             assert some.machine_values(name) == pytest.approx(small.machine_values(name), abs=1e-12)
         assert some.machine_values("power") == pytest.approx(small.machine_values("power"), abs=1e-11)
         assert some.wtg_values("power") == pytest.approx(small.wtg_values("power"), abs=1e-12)
-        assert some.lane_values("coi") == pytest.approx(small.lane_values("coi"), abs=1e-13)
+        assert some.env_values("coi") == pytest.approx(small.env_values("coi"), abs=1e-13)
 
 
 def test_conductances_follow_the_frequency_of_their_island():

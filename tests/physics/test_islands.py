@@ -78,8 +78,8 @@ def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses, slack):
         event[:] = whole.data.events[0, 0]
         event["start"] = event["end"] = 0.0
         event["bus"] = buses.index(13)
-    part.blocks[0, part.layout.first_rows(ISLANDS, "centre")] = whole.lane_values("coi")[0]
-    part.blocks[0, part.layout.lane("next_change"), 0] = 0.0
+    part.blocks[0, part.layout.first_rows(ISLANDS, "centre")] = whole.env_values("coi")[0]
+    part.blocks[0, part.layout.env("next_change"), 0] = 0.0
     island = 0 if slack == 1 else 1
     for _ in range(30):
         whole.advance()
@@ -91,7 +91,7 @@ def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses, slack):
         for name in ("speed", "power", "rotor_speed", "terminal_voltage"):
             assert whole.wtg_values(name)[0, groups] == pytest.approx(part.wtg_values(name)[0], abs=1e-11), name
         centre = numbers(whole, ISLANDS, "centre")[island]
-        assert centre == pytest.approx(part.lane_values("coi")[0], abs=1e-12)
+        assert centre == pytest.approx(part.env_values("coi")[0], abs=1e-12)
     assert abs(centre - 1.0) > 5e-5
 
 
@@ -104,14 +104,14 @@ def test_parts_without_a_unit_are_dark_and_count_as_not_served():
     voltage = np.abs(simulator.bus_voltages())
     assert voltage[13] == 0.0 and numbers(simulator, BUSES, "island")[13] == -1.0 and (voltage[:13] > 0.9).all()
     conductance = simulator.blocks[0, load, 0]
-    unserved = simulator.lane_values("unserved")[0]
+    unserved = simulator.env_values("unserved")[0]
     assert unserved == pytest.approx(conductance + simulator.data.events["active"][0, 2], abs=1e-15)
-    assert simulator.lane_values("shed_energy")[0] == pytest.approx(0.5 * unserved, rel=1e-12)
+    assert simulator.env_values("shed_energy")[0] == pytest.approx(0.5 * unserved, rel=1e-12)
     recorded(simulator, 1.0)
     assert abs(simulator.bus_voltages()[13]) > 0.9 and (numbers(simulator, BUSES, "island") == 0.0).all()
-    assert simulator.lane_values("unserved")[0] == 0.0
-    assert simulator.lane_values("shed_energy")[0] == pytest.approx(unserved, rel=1e-12)
-    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("unserved")[0] == 0.0
+    assert simulator.env_values("shed_energy")[0] == pytest.approx(unserved, rel=1e-12)
+    assert simulator.env_values("status")[0] == Status.RUNNING
 
 
 def test_shedding_acts_in_the_island_with_the_deficit_alone():
@@ -119,10 +119,10 @@ def test_shedding_acts_in_the_island_with_the_deficit_alone():
     recorded(simulator, 6.0)
     served = numbers(simulator, BUSES, "served")
     south = numbers(simulator, BUSES, "island") == 1.0
-    assert simulator.lane_values("split")[0] == 1.0
+    assert simulator.env_values("split")[0] == 1.0
     assert (served[~south] == 1.0).all() and np.ptp(served[south]) == 0.0 and served[south][0] < 0.96
     load = numbers(simulator, BUSES, "load")
-    assert simulator.lane_values("unserved")[0] == pytest.approx((1.0 - served) @ load, abs=1e-14)
+    assert simulator.env_values("unserved")[0] == pytest.approx((1.0 - served) @ load, abs=1e-14)
     shed = numbers(simulator, STAGES, "shed").reshape(4, -1)
     assert (shed[0] >= 0.0).all() and (shed[1] < 0.0).any()
 
@@ -131,13 +131,13 @@ def test_a_second_island_beyond_its_limits_trips_its_units_and_the_run_goes_on()
     # Condensers alone feed the load of their part.
     simulator = started(plant(shedding=NO_SHEDDING), scenario(*cut(1.0)))
     recorded(simulator, 30.0)
-    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("status")[0] == Status.RUNNING
     assert simulator.machine_values("connected")[0].tolist() == [1.0, 1.0, 0.0, 0.0]
     assert simulator.wtg_values("connected")[0].tolist() == [1.0, 1.0]
     assert (numbers(simulator, BUSES, "island") == [0.0] * 5 + [-1.0] * 9).all()
     assert (simulator.bus_voltages()[5:] == 0.0).all()
     load = numbers(simulator, BUSES, "load")
-    assert simulator.lane_values("unserved")[0] == pytest.approx(load[5:].sum(), abs=1e-14)
+    assert simulator.env_values("unserved")[0] == pytest.approx(load[5:].sum(), abs=1e-14)
 
 
 def test_a_group_goes_with_its_island():
@@ -154,8 +154,8 @@ def test_the_end_of_the_grid_is_the_end_of_the_run():
     lines = ((1, 5), (2, 3), (2, 4), (2, 5))
     simulator = started(plant(groups=groups, shedding=NO_SHEDDING), scenario(*cut(1.0, lines)))
     recorded(simulator, 30.0)
-    assert simulator.lane_values("status")[0] in (Status.FREQUENCY_LIMIT, Status.VOLTAGE_COLLAPSE)
-    assert simulator.lane_values("active")[0] == 0.0
+    assert simulator.env_values("status")[0] in (Status.FREQUENCY_LIMIT, Status.VOLTAGE_COLLAPSE)
+    assert simulator.env_values("active")[0] == 0.0
 
 
 def test_without_its_last_machine_a_grid_of_converters_runs_on():
@@ -165,14 +165,14 @@ def test_without_its_last_machine_a_grid_of_converters_runs_on():
     recorded(simulator, 2.0)
     held = simulator.machine_values("speed")[0, 0]
     result = recorded(simulator, 20.0, "speed", "power")
-    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("status")[0] == Status.RUNNING
     assert (simulator.machine_values("connected")[0] == 0.0).all()
     # The frame of all angles turns on with the speed that the first machine had last.
     assert simulator.machine_values("speed")[0, 0] == held
     assert np.ptp(result["speed"][-1]) < 1e-6
-    angles = simulator.lane_values("angle")[0]
+    angles = simulator.env_values("angle")[0]
     simulator.advance()
-    assert simulator.lane_values("angle")[0] - angles == pytest.approx(
+    assert simulator.env_values("angle")[0] - angles == pytest.approx(
         0.1 * 100.0 * np.pi * (held - 1.0), rel=1e-9, abs=1e-12
     )
 
@@ -191,7 +191,7 @@ def test_wind_turbines_alone_share_the_load_by_one_factor_on_k_or_too_little_win
     voltage = simulator.bus_voltages()
     assert np.abs(voltage[1]) == pytest.approx(1.045, abs=1e-10)
     result = recorded(simulator, 30.0, "speed")
-    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("status")[0] == Status.RUNNING
     assert 0.99 < result["coi"][-1] < 0.9999 and np.ptp(result["speed"][-1]) < 1e-6
     with pytest.raises(ValueError, match=r"^[^\n]*WTG groups alone cannot meet the load at a level of 1;[^\n]*$"):
         started(settings, scenario(wind=[[7.0], [6.0]], load_noise_bus=2))
@@ -206,8 +206,8 @@ def played(*events: Event, wind: float = 9.0, seconds: float = 25.0) -> Simulato
 @pytest.mark.parametrize("again_s", [5.0, 12.0])
 def test_what_joins_in_phase_has_not_lost_synchronism(again_s):
     simulator = played(*cut(1.0, ((5, 6), (10, 11), (13, 14)), again_s))
-    assert simulator.lane_values("status")[0] == Status.RUNNING
-    assert simulator.lane_values("coi")[0] == pytest.approx(1.0, abs=0.01)
+    assert simulator.env_values("status")[0] == Status.RUNNING
+    assert simulator.env_values("coi")[0] == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_grid_that_a_part_joins_remembers_which_stages_have_acted():
@@ -221,4 +221,4 @@ def test_a_grid_that_a_part_joins_remembers_which_stages_have_acted():
 def test_energy_that_is_not_served_is_never_negative():
     away = (*cut(1.0, ((7, 8),)), GroupTrip(time_s=1.0, group=3), MachineOutage(time_s=1.0, bus=8))
     simulator = played(*away, LoadStep(time_s=2.0, bus=8, power_mw=-50.0), seconds=5.0)
-    assert simulator.lane_values("shed_energy")[0] == 0.0
+    assert simulator.env_values("shed_energy")[0] == 0.0

@@ -95,7 +95,7 @@ def started(machines: Sequence[SynchronousMachineParameters], *events: Event, gi
 def advanced(simulator: Simulator, seconds: float) -> Simulator:
     for _ in range(round(10.0 * seconds)):
         simulator.advance()
-    assert simulator.lane_values("status")[0] == 0.0
+    assert simulator.env_values("status")[0] == 0.0
     return simulator
 
 
@@ -167,7 +167,7 @@ def test_runs_start_in_an_exact_equilibrium_and_settle(machines, committed, droo
     given = {"committed": committed, "governor_droop": droop}
     simulator = started(machines, LoadStep(time_s=1.0, bus=3, power_mw=20.0), given=given)
     assert largest_rate(simulator) < 1e-9
-    rows = simulator._lane_view(0)
+    rows = simulator._env_view(0)
     matrix = state_matrix(rows, simulator.plant, simulator.layout, 1)
     keep = moving_states(matrix, rows, simulator.layout)
     names = [name for name, own in zip(simulator.layout.state_names, keep, strict=True) if own]
@@ -182,7 +182,7 @@ def test_runs_start_in_an_exact_equilibrium_and_settle(machines, committed, droo
     damping = np.array([getattr(m.governor, "turbine_damping_pu", 0.0) for m in machines])
     before = started(machines, given=given).machine_values("power")[0].sum()
     more = simulator.machine_values("power")[0].sum() - before
-    deviation = 1.0 - simulator.lane_values("coi")[0]
+    deviation = 1.0 - simulator.env_values("coi")[0]
     assert committed * ratings @ (inv_droops + damping) * deviation == pytest.approx(more, rel=2e-3)
 
 
@@ -220,7 +220,7 @@ def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates()
         advanced(simulator, 1.0)
         references.append(simulator.machine_values("gate_reference")[0])
     # The deviation lasts, but it is not added up beyond what a gate can give at rest.
-    assert simulator.lane_values("coi")[0] < 0.995
+    assert simulator.env_values("coi")[0] < 0.995
     assert np.max(references, axis=0).tolist() == [0.66, 0.45] == references[-1].tolist()
 
 
@@ -265,7 +265,7 @@ def test_every_model_has_gradients(machines):
     steps = (LoadStep(time_s=1.0, bus=3, power_mw=20.0), LoadStep(time_s=2.0, bus=3, power_mw=-15.0))
     given = {"wind": np.full((1, 1), 9.0), "duration_s": 10.0, "load_noise_bus": 3}
     scenarios = [scenario(*events, **given) for events in (steps, steps[::-1][1:])]
-    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 2, tape.lanes.n_action))
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 2, tape.batch.n_action))
     for result in check_by_differences(tape, scenarios, actions)[:1]:
         assert result.error.max() <= 1e-5, result.name
 

@@ -90,12 +90,12 @@ def test_a_batch_gives_the_frames_of_single_environments():
     batch = GFMWTGVectorEnv(2, duration_s=5.0, render_mode="rgb_array")
     singles = [GFMWTGEnv(duration_s=5.0, render_mode="rgb_array") for _ in range(2)]
     batch.reset(seed=5)
-    for lane, env in enumerate(singles):
-        env.reset(seed=5 + lane)
+    for env_index, env in enumerate(singles):
+        env.reset(seed=5 + env_index)
     for step, actions in enumerate(actions_of(1, 14, 2, 8)):
         batch.step(actions)
-        for lane, env in enumerate(singles):
-            env.reset() if step == 10 else env.step(actions[lane])
+        for env_index, env in enumerate(singles):
+            env.reset() if step == 10 else env.step(actions[env_index])
         if step in (4, 10, 13):
             assert [frame.tobytes() for frame in batch.render()] == [env.render().tobytes() for env in singles], step
 

@@ -15,7 +15,7 @@ import pytest
 
 from tests.envs.rollouts import calm
 from wtg_gym import GFMWTGEnv, LineTrip, Plant, evaluate, get_suite
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu
@@ -81,7 +81,7 @@ def test_scenarios_of_a_drawn_suite_of_v1_have_the_margin_of_their_stratum_in_an
     assert [suite.scenario(seed).to_json() for seed in seeds[:3]] == [own.to_json() for own in scenarios[:3]]
     # The other laws begin between these two.
     for law in ("mppt", "deloaded-10"):
-        TaskLanes(EnvSettings(suite=suite.name, strategy=law, reward="cost")).prepare(scenarios)
+        EnvBatch(EnvSettings(suite=suite.name, strategy=law, reward="cost")).prepare(scenarios)
 
 
 @pytest.mark.parametrize(
@@ -215,6 +215,6 @@ def test_the_environment_tells_the_margin_in_the_suites_plant_with_its_own_group
         env = GFMWTGEnv(duration_s=5.0, **arguments)
         _, info = env.reset(seed=3)
         plant = suite.plant.replaced(groups=arguments["groups"])
-        own = arguments.get("scenario") or env.lanes.scenarios([info["scenario_seed"]])[0]
+        own = arguments.get("scenario") or env.batch.scenarios([info["scenario_seed"]])[0]
         assert own.n_wtg == n_wtg and info["reserve_margin"] == ReserveMargin(plant).of(own)
         env.step(np.zeros(2 * n_wtg))

@@ -69,7 +69,7 @@ def test_plain_policies_pass_every_check_and_their_files_are_listed(given, tmp_p
 
 
 def test_policy_is_judged_in_the_environment_that_it_names(tmp_path, monkeypatch):
-    monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
+    monkeypatch.setattr(gate, "_ROLLOUT_ENVS", 4)
     report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1))
     assert report.accepted and report.entry.environment == "GFMWTG-14bus-v1"
     assert rollout(report.entry).shape[1:] == (4, 8)
@@ -92,7 +92,7 @@ def mixed(served, n, source):
     served.outputs[0][-1] += 1e-6
 worker._Served.answer = mixed"""
     monkeypatch.setattr(policy_process, "_SCRIPT", models.worker(tmp_path / "worker.py", mixes))
-    monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
+    monkeypatch.setattr(gate, "_ROLLOUT_ENVS", 4)
     refusal = check_submission(folder(tmp_path / "a")).refusal
     assert refusal.name == "repeated" and "in another order" in refusal.reason
 

@@ -124,7 +124,7 @@ def test_hostile_policy_is_stopped(end, name, tmp_path, monkeypatch):
 
         monkeypatch.setattr(gate, "check_speed", impatient)
     # That its answers repeat, which is the last check, is looked at in fewer scenarios.
-    monkeypatch.setattr(gate, "_ROLLOUT_LANES", 32 if end == HARMLESS else 8)
+    monkeypatch.setattr(gate, "_ROLLOUT_ENVS", 32 if end == HARMLESS else 8)
     report = check_submission(folder(tmp_path / "a", ATTACKS[end][name]()))
     if end == HARMLESS:
         check_harmless(report.entry)

@@ -15,7 +15,7 @@ from tests.physics.extended import largest_rate, scenario
 from tests.test_readme import files
 from wtg_gym import GFMWTGEnv, LoadStep, Plant
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.tasks.cost import COST_TERMS
 
@@ -46,18 +46,18 @@ def settings(battery, **options) -> EnvSettings:
     return dataclasses.replace(WITHOUT, plant={"devices": (battery.batteries(9, 14, **options),)})
 
 
-def played(settings: EnvSettings, n_lanes: int = 1, n_steps: int = 60) -> TaskLanes:
-    lanes = TaskLanes(settings, n_lanes)
-    lanes.start(list(range(n_lanes)), [STEP] * n_lanes)
+def played(settings: EnvSettings, num_envs: int = 1, n_steps: int = 60) -> EnvBatch:
+    batch = EnvBatch(settings, num_envs)
+    batch.start(list(range(num_envs)), [STEP] * num_envs)
     for _ in range(n_steps):
-        lanes.step(np.zeros((n_lanes, lanes.n_action)))
-    return lanes
+        batch.step(np.zeros((num_envs, batch.n_action)))
+    return batch
 
 
 def test_it_starts_in_equilibrium_holds_up_the_frequency_and_its_wear_is_charged(battery):
     assert largest_rate(played(settings(battery), n_steps=0).simulator) < 1e-9
     own, without = played(settings(battery)), played(WITHOUT)
-    with_them, alone = (lanes.simulator.lane_values("coi_min")[0] for lanes in (own, without))
+    with_them, alone = (batch.simulator.env_values("coi_min")[0] for batch in (own, without))
     assert 1.0 > with_them > alone + 1e-4
     energy = own.observations[0, [own.observation_names.index(f"batteries{j}.energy_left") for j in range(2)]]
     assert (energy < 0.5).all() and (energy > 0.4).all()
@@ -78,26 +78,26 @@ def test_an_environment_takes_it_beside_the_suites_groups(battery, version):
     assert env.observation_space.contains(observation) and observation[-3] != 0.5
 
 
-def test_many_lanes_and_copies_from_another_process_have_the_bits_of_one(battery):
+def test_many_envs_and_copies_from_another_process_have_the_bits_of_one(battery):
     one, many = played(settings(battery)), played(settings(battery), 17)
     copies = pickle.loads(pickle.dumps(many)), copy.deepcopy(many)
     for _ in range(10):
-        for lanes in (one, many, *copies):
-            lanes.step(np.zeros((lanes.n_lanes, lanes.n_action)))
-    for lanes in (many, *copies):
-        assert (lanes.observations == one.observations).all() and (lanes.rewards == one.rewards[0]).all()
+        for batch in (one, many, *copies):
+            batch.step(np.zeros((batch.num_envs, batch.n_action)))
+    for batch in (many, *copies):
+        assert (batch.observations == one.observations).all() and (batch.rewards == one.rewards[0]).all()
 
 
 def test_an_empty_one_gives_no_more(battery):
-    lanes = played(settings(battery, energy_time_s=3.0), n_steps=190)
-    names = lanes.observation_names
-    power, energy = (lanes.observations[0, names.index(f"batteries0.{name}")] for name in ("power", "energy_left"))
+    batch = played(settings(battery, energy_time_s=3.0), n_steps=190)
+    names = batch.observation_names
+    power, energy = (batch.observations[0, names.index(f"batteries0.{name}")] for name in ("power", "energy_left"))
     assert 0.0 <= energy < 0.05 and abs(power) < 0.05
 
 
 def test_its_gradient_is_that_of_differences(battery):
     tape = Tape(settings(battery), 2, 1)
-    actions = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 2, tape.lanes.n_action))
+    actions = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 2, tape.batch.n_action))
     (of_actions, *_) = check_by_differences(tape, [STEP, STEP], actions)
     assert of_actions.gradient == pytest.approx(of_actions.central, rel=1e-5, abs=1e-6)
 
@@ -111,6 +111,6 @@ def test_bad_units_are_refused(battery, changes, reason):
 def test_plants_that_cannot_be_are_refused(battery):
     one, other = battery.batteries(9), battery.batteries(14)
     with pytest.raises(ValueError, match="units of a kind 'batteries' already"):
-        TaskLanes(dataclasses.replace(WITHOUT, plant=Plant(devices=(one, other))))
+        EnvBatch(dataclasses.replace(WITHOUT, plant=Plant(devices=(one, other))))
     with pytest.raises(ValueError, match=r"unknown conditions \['wears'\]"):
-        TaskLanes(dataclasses.replace(WITHOUT, plant=Plant(devices=(dataclasses.replace(one, has=("wears",)),))))
+        EnvBatch(dataclasses.replace(WITHOUT, plant=Plant(devices=(dataclasses.replace(one, has=("wears",)),))))

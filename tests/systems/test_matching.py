@@ -292,7 +292,7 @@ class PlantMap(Layout):
 
 
 @pytest.mark.parametrize("width", [1, 16])
-def test_every_unit_of_every_lane_has_what_the_function_says(width):
+def test_every_unit_of_every_env_has_what_the_function_says(width):
     layout = PlantMap({UNITS: N_UNITS}, {})
     tables = build_table((FORWARD, BOTH_WAYS), layout)
     rng = np.random.default_rng(0)

@@ -9,7 +9,7 @@ from wtg_gym.envs import interface, rendering
 from wtg_gym.signals import HeldSignals
 
 
-class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Action]):
+class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Action]):
     """Grid-forming wind turbine generators hold up the frequency of the modified IEEE 14-bus system.
 
     ## Description
@@ -76,7 +76,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         self.observation_space, self.action_space = self._open(arguments, render_mode)
-        self._action_shape = (self._lanes.n_action,)
+        self._action_shape = (self._batch.n_action,)
 
     @interface.one_thread
     def reset(
@@ -95,14 +95,14 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         # A given scenario that cannot start is refused before the first change, of the generator too.
         episodes = None
         if "scenario" in checked:
-            scenario = self._lanes.scenario_of('options["scenario"]', checked["scenario"])
-            episodes = self._lanes.prepare([scenario], turning=True)
+            scenario = self._batch.scenario_of('options["scenario"]', checked["scenario"])
+            episodes = self._batch.prepare([scenario], turning=True)
         super().reset(seed=seed)
-        self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)
+        self._batch.start([0], self._batch.next_episode(self.np_random, 0) if episodes is None else episodes)
         if self._frames is not None:
             self._frames.sample()
             self._frames.show()
-        return self._lanes.observations[0].copy(), self._lanes.info()
+        return self._batch.observations[0].copy(), self._batch.info()
 
     def step(self, action: interface.Action) -> tuple[interface.Observation, float, bool, bool, dict[str, Any]]:
         """Hold the action (n_action,), clipped to [-1, 1], for one control step.
@@ -110,8 +110,8 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         A ValueError says that the action has another shape or is not finite, a RuntimeError that the episode is over,
         so that reset() is needed, or that another thread is in this environment.
         """
-        lanes, use, thread = self._lanes, self._use, get_ident()
-        outputs = lanes.outputs
+        batch, use, thread = self._batch, self._use, get_ident()
+        outputs = batch.outputs
         if outputs.terminated[0] or outputs.truncated[0]:
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
         # As one_thread does; a decorator would add a tenth to the shortest step. An interrupt comes before or after the
@@ -121,14 +121,14 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         try:
             actions = interface.as_actions(action, self._action_shape)[None, :]
             if self._frames is None:
-                lanes.step(actions)
+                batch.step(actions)
             else:
                 with HeldSignals():
-                    lanes.step(actions)
+                    batch.step(actions)
                     self._frames.sample()
                 self._frames.show()
             terminated, truncated = bool(outputs.terminated[0]), bool(outputs.truncated[0])
-            return outputs.observations[0].copy(), float(outputs.rewards[0]), terminated, truncated, lanes.info()
+            return outputs.observations[0].copy(), float(outputs.rewards[0]), terminated, truncated, batch.info()
         finally:
             use.give_back()
 
@@ -148,6 +148,6 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
 
     def close(self) -> None:
         """Release the worker threads, and close the window; the environment can still be used."""
-        self._lanes.close()
+        self._batch.close()
         if self._frames is not None:
             self._frames.close()

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from wtg_gym.envs import interface, rendering
-from wtg_gym.envs.lanes import EPISODES_AT_ONCE, PreparedEpisodes, TaskLanes
+from wtg_gym.envs.batch import EPISODES_AT_ONCE, EnvBatch, PreparedEpisodes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
 
@@ -19,75 +19,75 @@ _MOST_ENVS = 1_000_000
 
 
 class NextEpisodes:
-    """The episodes that lanes play next, drawn by each lane's own generator and prepared several at a time.
+    """The episodes that environments play next, drawn by each one's own generator and prepared several at a time.
 
-    Prepared by the handful, an episode takes less than half the time that it takes alone. Lanes whose episodes end soon
+    Prepared by the handful, an episode takes less than half the time that it takes alone. Those whose episodes end soon
     are therefore prepared along with those that have ended. Its scenario does not depend on when it was prepared.
     """
 
-    def __init__(self, lanes: TaskLanes, generators: Sequence[np.random.Generator]) -> None:
-        self._lanes = lanes
+    def __init__(self, envs: EnvBatch, generators: Sequence[np.random.Generator]) -> None:
+        self._batch = envs
         self._generators = list(generators)
-        #: The prepared group of a lane's episode, and its place there.
+        #: The prepared group of an environment's episode, and its place there.
         self._ready: dict[int, tuple[PreparedEpisodes, int]] = {}
-        #: Why a lane's episode cannot start.
+        #: Why an environment's episode cannot start.
         self._refused: dict[int, ValueError] = {}
 
     def choose(self, wanted: Sequence[int]) -> list[int]:
-        """Return which lanes to prepare now: those of `wanted` that are not ready, filled up to whole groups."""
-        missing = [lane for lane in wanted if lane not in self._ready and lane not in self._refused]
-        n_more = min(-len(missing) % EPISODES_AT_ONCE, self._lanes.n_lanes - len(missing))
+        """Return which environments to prepare now: those of `wanted` that are not ready, filled up to whole groups."""
+        missing = [env for env in wanted if env not in self._ready and env not in self._refused]
+        n_more = min(-len(missing) % EPISODES_AT_ONCE, self._batch.num_envs - len(missing))
         if not missing or n_more == 0:
             return missing
-        remaining = self._lanes.task_values("end_step") - self._lanes.simulator.lane_values("step")
+        remaining = self._batch.task_values("end_step") - self._batch.simulator.env_values("step")
         remaining[[*missing, *self._ready, *self._refused]] = np.inf
         soonest = np.argpartition(remaining, n_more - 1)[:n_more]
-        return [*missing, *(int(lane) for lane in soonest if np.isfinite(remaining[lane]))]
+        return [*missing, *(int(env) for env in soonest if np.isfinite(remaining[env]))]
 
     def prepare(self, chosen: Sequence[int]) -> None:
-        """Draw and prepare the next episodes of lanes; :meth:`start` raises the error of one that cannot start."""
+        """Draw and prepare the next episodes; :meth:`start` raises the error of one that cannot start."""
         for first in range(0, len(chosen), EPISODES_AT_ONCE):
             group = chosen[first : first + EPISODES_AT_ONCE]
-            scenarios = self._lanes.draw([self._generators[lane] for lane in group])
+            scenarios = self._batch.draw([self._generators[env] for env in group])
             try:
-                self._put(group, self._lanes.prepare(scenarios))
+                self._put(group, self._batch.prepare(scenarios))
             except ValueError:
-                for lane, scenario in zip(group, scenarios, strict=True):
+                for env, scenario in zip(group, scenarios, strict=True):
                     try:
-                        self._put([lane], self._lanes.next_episode(self._generators[lane], lane, scenario))
+                        self._put([env], self._batch.next_episode(self._generators[env], env, scenario))
                     except ValueError as error:
-                        self._refused[lane] = error
+                        self._refused[env] = error
 
     def _put(self, group: Sequence[int], episodes: PreparedEpisodes) -> None:
-        self._ready.update({lane: (episodes, place) for place, lane in enumerate(group)})
+        self._ready.update({env: (episodes, place) for place, env in enumerate(group)})
 
     def reseed(self, generators: dict[int, np.random.Generator]) -> None:
-        """Give lanes new generators; episodes drawn by the old ones are dropped."""
-        for lane, generator in generators.items():
-            self._generators[lane] = generator
-            self._ready.pop(lane, None)
-            self._refused.pop(lane, None)
+        """Give environments new generators; episodes drawn by the old ones are dropped."""
+        for env, generator in generators.items():
+            self._generators[env] = generator
+            self._ready.pop(env, None)
+            self._refused.pop(env, None)
 
     def start(self, wanted: Sequence[int]) -> None:
-        """Start the next episode of lanes.
+        """Start the next episodes.
 
-        A ValueError says that none of the scenarios drawn for one of them starts. None has been started, and that lane
+        A ValueError says that none of the scenarios drawn for one of them starts. None has been started, and that one
         goes on to the scenario after them.
         """
         self.prepare(self.choose(wanted))
-        for lane in wanted:
-            if lane in self._refused:
-                raise self._refused.pop(lane)
+        for env in wanted:
+            if env in self._refused:
+                raise self._refused.pop(env)
         groups: dict[int, list[int]] = {}
-        for lane in wanted:
-            groups.setdefault(id(self._ready[lane][0]), []).append(lane)
+        for env in wanted:
+            groups.setdefault(id(self._ready[env][0]), []).append(env)
         for group in groups.values():
-            ready = [self._ready.pop(lane) for lane in group]
-            self._lanes.start(group, ready[0][0], [place for _, place in ready])
+            ready = [self._ready.pop(env) for env in group]
+            self._batch.start(group, ready[0][0], [place for _, place in ready])
 
 
 class GFMWTGVectorEnv(
-    interface.OverLanes, gym.vector.VectorEnv[interface.Observation, interface.Action, npt.NDArray[Any]]
+    interface.OverBatch, gym.vector.VectorEnv[interface.Observation, interface.Action, npt.NDArray[Any]]
 ):
     """Many :class:`GFMWTGEnv` episodes in one compiled call.
 
@@ -133,9 +133,9 @@ class GFMWTGVectorEnv(
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._next = NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
-        self._all_lanes = np.ones(num_envs, dtype=np.bool_)
-        self._all_lanes.setflags(write=False)
+        self._next = NextEpisodes(self._batch, [seeding.np_random()[0] for _ in range(num_envs)])
+        self._all_envs = np.ones(num_envs, dtype=np.bool_)
+        self._all_envs.setflags(write=False)
 
     @interface.one_thread
     def reset(
@@ -152,22 +152,22 @@ class GFMWTGVectorEnv(
         """
         checked = interface.check_options(options, ("reset_mask", "scenarios"))
         mask = self._reset_mask(checked.get("reset_mask"))
-        seeds = self._lane_seeds(seed)
-        lanes = np.flatnonzero(mask).tolist()
+        seeds = self._env_seeds(seed)
+        envs = np.flatnonzero(mask).tolist()
         # Given scenarios that cannot start are refused before the first change.
         episodes = None
         if "scenarios" in checked:
             scenarios = self._scenarios(checked["scenarios"])
-            episodes = self._lanes.prepare([scenarios[lane] for lane in lanes], turning=True)
-        generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
+            episodes = self._batch.prepare([scenarios[env] for env in envs], turning=True)
+        generators = {env: seeding.np_random(s)[0] for env in envs if (s := seeds[env]) is not None}
         self._next.reseed(generators)
         if episodes is None:
-            self._next.start(lanes)
+            self._next.start(envs)
         else:
-            self._lanes.start(lanes, episodes)
+            self._batch.start(envs, episodes)
         if self._frames is not None:
             self._frames.sample()
-        return self._lanes.observations.copy(), self._infos(mask.copy())
+        return self._batch.observations.copy(), self._infos(mask.copy())
 
     def _reset_mask(self, option: Any) -> npt.NDArray[np.bool_]:
         if option is None:
@@ -183,21 +183,21 @@ class GFMWTGVectorEnv(
     def _scenarios(self, option: Any) -> list[Scenario]:
         if not isinstance(option, Sequence) or len(option) != self.num_envs:
             raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {option!r:.80}')
-        return [self._lanes.scenario_of('options["scenarios"]', scenario) for scenario in option]
+        return [self._batch.scenario_of('options["scenarios"]', scenario) for scenario in option]
 
-    def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+    def _env_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         seeds: Sequence[int | None]
         if seed is None:
             seeds = [None] * self.num_envs
         elif isinstance(seed, (int, np.integer)) and is_whole(seed):
-            seeds = [int(seed) + lane for lane in range(self.num_envs)]
+            seeds = [int(seed) + env for env in range(self.num_envs)]
         elif not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, str):
             raise ValueError(f"seed must be a whole number, or one per environment, got {seed!r}")
         elif len(seed) != self.num_envs:
             raise ValueError(f"one seed per environment is needed ({self.num_envs}), got {len(seed)}")
         else:
             seeds = seed
-        return [None if lane_seed is None else require_whole("a seed", lane_seed, 0) for lane_seed in seeds]
+        return [None if env_seed is None else require_whole("a seed", env_seed, 0) for env_seed in seeds]
 
     @interface.one_thread
     def step(
@@ -210,31 +210,31 @@ class GFMWTGVectorEnv(
         A RuntimeError says that an environment was never started, or is over and resets are disabled, or that another
         thread is in this object.
         """
-        waiting = np.logical_or(*self._lanes.ended())
-        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._lanes.started):
+        waiting = np.logical_or(*self._batch.ended())
+        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._batch.started):
             raise RuntimeError(
-                f"lanes {np.flatnonzero(waiting).tolist()} are over or were never started; call reset() before step()"
+                f"environments {np.flatnonzero(waiting).tolist()} have ended or were never started; call reset()"
             )
         beginning = np.flatnonzero(waiting).tolist()
         preparing = self._next.choose(beginning)
-        self._lanes.step(
-            interface.as_actions(actions, (self.num_envs, self._lanes.n_action)),
+        self._batch.step(
+            interface.as_actions(actions, (self.num_envs, self._batch.n_action)),
             lambda: self._next.prepare(preparing),
             len(preparing),
         )
         if self._step_limit is not None:
-            self._lanes.stop(~waiting & (self._lanes.n_steps() >= self._step_limit))
-        terminated, truncated = self._lanes.ended()
-        # A lane that waited for its reset has not been stepped: this step starts its next episode.
+            self._batch.stop(~waiting & (self._batch.n_steps() >= self._step_limit))
+        terminated, truncated = self._batch.ended()
+        # An environment that waited for its reset has not been stepped: this step starts its next episode.
         terminated &= ~waiting
         truncated &= ~waiting
-        rewards = self._lanes.rewards.copy()
+        rewards = self._batch.rewards.copy()
         done = terminated | truncated
         infos: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
             final = np.full(self.num_envs, None, dtype=object)
-            for lane in np.flatnonzero(done):
-                final[lane] = self._lanes.observations[lane].copy()
+            for env in np.flatnonzero(done):
+                final[env] = self._batch.observations[env].copy()
             infos["final_obs"], infos["_final_obs"] = final, done.copy()
             infos["final_info"], infos["_final_info"] = self._infos(done.copy()), done.copy()
             beginning = np.flatnonzero(done).tolist()
@@ -242,13 +242,13 @@ class GFMWTGVectorEnv(
             self._next.start(beginning)
         if self._frames is not None:
             self._frames.sample()
-        infos.update(self._infos(self._all_lanes))
-        return self._lanes.observations.copy(), rewards, terminated, truncated, infos
+        infos.update(self._infos(self._all_envs))
+        return self._batch.observations.copy(), rewards, terminated, truncated, infos
 
     def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        """Every key of `info` as an array, and as `_key` the lanes that it holds for: one array for all keys."""
+        """Every key of `info` as an array, and as `_key` the environments that it holds for: one array for all keys."""
         infos: dict[str, Any] = {}
-        for key, array in self._lanes.info_arrays().items():
+        for key, array in self._batch.info_arrays().items():
             infos[key], infos[f"_{key}"] = array, mask
         return infos
 
@@ -264,4 +264,4 @@ class GFMWTGVectorEnv(
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""
-        self._lanes.close()
+        self._batch.close()

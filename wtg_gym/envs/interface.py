@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 
-from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
-from wtg_gym.envs.rendering import LaneFrames
+from wtg_gym.envs.batch import BatchSnapshot, EnvBatch
+from wtg_gym.envs.rendering import BatchFrames
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import did_you_mean, require_choice, require_known
@@ -46,7 +46,7 @@ class Use:
         return Use, ()
 
 
-Own = TypeVar("Own", bound="OverLanes")
+Own = TypeVar("Own", bound="OverBatch")
 
 
 def one_thread(method: Callable[Concatenate[Own, P], R]) -> Callable[Concatenate[Own, P], R]:
@@ -71,7 +71,7 @@ def one_thread(method: Callable[Concatenate[Own, P], R]) -> Callable[Concatenate
     return run
 
 
-def in_use(environment: "OverLanes", method: str) -> RuntimeError:
+def in_use(environment: "OverBatch", method: str) -> RuntimeError:
     """Return the error of a method that was called while another thread was within the environment."""
     return RuntimeError(
         f"{type(environment).__name__}.{method}() was called while another thread uses the same environment; "
@@ -83,21 +83,21 @@ class Snapshot(NamedTuple):
     """Complete state of an environment's episodes."""
 
     of: str  # class of the environment
-    lanes: LanesSnapshot
+    batch: BatchSnapshot
     frames: Any  # what it has drawn so far; None without rendering
 
 
-class OverLanes:
-    """An environment that plays its episodes in lanes."""
+class OverBatch:
+    """An environment whose episodes are played in a batch."""
 
     metadata: dict[str, Any]
     _step_limit: int | None = None
     _spec: EnvSpec | None = None
 
     def _open(
-        self, arguments: Mapping[str, Any], render_mode: str | None, n_lanes: int = 1, n_threads: int | None = None
+        self, arguments: Mapping[str, Any], render_mode: str | None, num_envs: int = 1, n_threads: int | None = None
     ) -> "tuple[Space, Space]":
-        """Make settings, lanes and frames; return the observation space and the action space of one episode.
+        """Make settings, batch and frames; return the observation space and the action space of one episode.
 
         A TypeError names an argument that is unknown, a ValueError a value that is not allowed.
         """
@@ -112,15 +112,15 @@ class OverLanes:
             require_choice("render_mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.settings = EnvSettings(**arguments)
-        self._lanes = TaskLanes(self.settings, n_lanes, n_threads)
+        self._batch = EnvBatch(self.settings, num_envs, n_threads)
         self._use = Use()
         fps = max(1, round(1.0 / self.settings.step_s))
         self.metadata = {**self.metadata, "render_fps": fps}
-        self._frames: LaneFrames | None = None
+        self._frames: BatchFrames | None = None
         if render_mode is not None:
-            self._frames = LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
-        bound = np.full(self._lanes.n_observation, observation.OBSERVATION_BOUND, dtype=np.float32)
-        high = np.ones(self._lanes.n_action, dtype=np.float32)
+            self._frames = BatchFrames(self._batch, opens_window=render_mode == "human", fps=fps)
+        bound = np.full(self._batch.n_observation, observation.OBSERVATION_BOUND, dtype=np.float32)
+        high = np.ones(self._batch.n_action, dtype=np.float32)
         return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-high, high, dtype=np.float32)
 
     @property
@@ -137,7 +137,7 @@ class OverLanes:
             )
         if spec is not None and spec.max_episode_steps is None:
             # Empty because the environment is registered without a time limit: it ends episodes itself.
-            n_steps = self._lanes.n_steps_of_episode
+            n_steps = self._batch.n_steps_of_episode
             spec = dataclasses.replace(spec, max_episode_steps=min(self._step_limit or n_steps, n_steps))
         self._spec = spec
 
@@ -148,7 +148,7 @@ class OverLanes:
         An environment that renders adds what it has drawn so far.
         """
         frames = None if self._frames is None else self._frames.snapshot()
-        return Snapshot(type(self).__name__, self._lanes.snapshot(), frames)
+        return Snapshot(type(self).__name__, self._batch.snapshot(), frames)
 
     @one_thread
     def restore(self, snapshot: Any) -> None:
@@ -160,24 +160,24 @@ class OverLanes:
         name = type(self).__name__
         if not isinstance(snapshot, Snapshot) or snapshot.of != name:
             raise ValueError(f"restore() takes what snapshot() of a {name} returned, got {type(snapshot).__name__}")
-        self._lanes.restore(snapshot.lanes)
+        self._batch.restore(snapshot.batch)
         if self._frames is not None:
             self._frames.restore(snapshot.frames)
 
     @property
-    def lanes(self) -> TaskLanes:
+    def batch(self) -> EnvBatch:
         """The simulator, observations and costs of every episode."""
-        return self._lanes
+        return self._batch
 
     @property
     def observation_names(self) -> list[str]:
         """Names and units of the entries of one episode's observation."""
-        return self._lanes.observation_names
+        return self._batch.observation_names
 
     @property
     def action_names(self) -> list[str]:
         """Names of the numbers of one episode's action, such as "wtg0.k"."""
-        return self._lanes.action_names
+        return self._batch.action_names
 
 
 def as_actions(actions: Any, shape: tuple[int, ...]) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
-from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
+from wtg_gym.envs.batch import TERMINATION_REASONS, EnvBatch
 from wtg_gym.extras import install_advice
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.grid import NetworkCase
@@ -332,31 +332,31 @@ class Window:
             self._pygame.display.quit()
 
 
-class LaneFrames:
-    """Frames of the episodes in lanes, and a window for the first one where `opens_window`.
+class BatchFrames:
+    """Frames of the episodes of a batch, and a window for the first one where `opens_window`.
 
-    Every lane's samples lie at their control steps, so that after a return to an earlier step only the steps before it
+    Each one's samples lie at their control steps, so that after a return to an earlier step only the steps before it
     are drawn. Without matplotlib, or for a window without pygame, there is a DependencyNotInstalled.
     """
 
-    def __init__(self, lanes: TaskLanes, *, opens_window: bool, fps: int) -> None:
-        self._lanes, self._plant = lanes, lanes.settings.resolved_plant
+    def __init__(self, batch: EnvBatch, *, opens_window: bool, fps: int) -> None:
+        self._batch, self._plant = batch, batch.settings.resolved_plant
         self._tip_speeds = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in self._plant.turbines])
-        self._panels = panels_of(self._plant, limited=lanes.suite.task.version != "v0")
-        #: By quantity, (n_lanes, n_steps, 1 or n_wtg); not a number where there is none.
+        self._panels = panels_of(self._plant, limited=batch.suite.task.version != "v0")
+        #: By quantity, (num_envs, n_steps, 1 or n_wtg); not a number where there is none.
         self._samples: dict[str, npt.NDArray[np.float32]] = {}
-        self._painters = [FramePainter() for _ in range(lanes.n_lanes)]
-        self._window = Window(lanes.suite.env_id, fps) if opens_window else None
+        self._painters = [FramePainter() for _ in range(batch.num_envs)]
+        self._window = Window(batch.suite.env_id, fps) if opens_window else None
 
     def sample(self) -> None:
-        """Write down where every lane stands: after a reset and after every step."""
-        lanes, simulator = self._lanes, self._lanes.simulator
-        step, coi = simulator.lane_values("step"), simulator.lane_values("coi")
+        """Write down where every environment stands: after a reset and after every step."""
+        batch, simulator = self._batch, self._batch.simulator
+        step, coi = simulator.env_values("step"), simulator.env_values("coi")
         rotor, wind, rate = (simulator.wtg_values(name) for name in ("rotor_speed", "wind", "inv_tau"))
         now = {
             "time": simulator.plant.simulation_dt * step[:, None],
-            "frequency": lanes.nominal_hz * coi[:, None],
-            "rocof": lanes.task_values("rocof")[:, None],
+            "frequency": batch.nominal_hz * coi[:, None],
+            "rocof": batch.task_values("rocof")[:, None],
             "rotor": rotor,
             "ratio": self._tip_speeds * _quotients(rotor, wind),
             "power": simulator.wtg_values("power"),
@@ -366,44 +366,44 @@ class LaneFrames:
         }
         for name, values in now.items():
             if name not in self._samples:
-                shape = lanes.n_lanes, simulator.n_intervals + 1, values.shape[1]
+                shape = batch.num_envs, simulator.n_intervals + 1, values.shape[1]
                 self._samples[name] = np.full(shape, np.nan, dtype=np.float32)
-            self._samples[name][np.arange(lanes.n_lanes), lanes.n_steps()] = values
+            self._samples[name][np.arange(batch.num_envs), batch.n_steps()] = values
 
     def paint(self) -> tuple[Frame, ...]:
-        """Return the frame of every lane; a RuntimeError if an episode was never started."""
-        if not self._lanes.started:
+        """Return the frame of every environment; a RuntimeError if an episode was never started."""
+        if not self._batch.started:
             raise RuntimeError("there is no episode to render; call reset() before render()")
-        return tuple(self._paint(lane, painter) for lane, painter in enumerate(self._painters))
+        return tuple(self._paint(env, painter) for env, painter in enumerate(self._painters))
 
-    def _paint(self, lane: int, painter: FramePainter) -> Frame:
-        lanes, simulator = self._lanes, self._lanes.simulator
-        now_s = float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt
+    def _paint(self, env: int, painter: FramePainter) -> Frame:
+        batch, simulator = self._batch, self._batch.simulator
+        now_s = float(simulator.env_values("step")[env]) * simulator.plant.simulation_dt
         # A hair, for the instants of events and of steps are rounded differently.
-        struck = tuple(event for event in lanes.events[lane] if event.time_s <= now_s + 1e-6)
-        seed, outputs = int(lanes.scenario_seeds[lane]), lanes.outputs
+        struck = tuple(event for event in batch.events[env] if event.time_s <= now_s + 1e-6)
+        seed, outputs = int(batch.scenario_seeds[env]), batch.outputs
         scene = Scene(
-            env_id=lanes.suite.env_id,
+            env_id=batch.suite.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
-            duration_s=float(lanes.task_values("end_step")[lane]) * simulator.plant.simulation_dt,
+            duration_s=float(batch.task_values("end_step")[env]) * simulator.plant.simulation_dt,
             plant=self._plant,
             panels=self._panels,
             events=struck,
             undone=undone(struck, now_s + 1e-6),
         )
-        violated_s = lanes.task_values("constraint_sum")[lane] * lanes.settings.interval_s
+        violated_s = batch.task_values("constraint_sum")[env] * batch.settings.interval_s
         texts = (
             f"{now_s:.1f} s",
-            TERMINATION_REASONS[Status(int(lanes.statuses()[lane]))] if outputs.terminated[lane] else "",
-            "time over" if outputs.truncated[lane] else "",
-            f"cost {sum(lanes.cost_sums()[lane].tolist()):.2f}",
+            TERMINATION_REASONS[Status(int(batch.statuses()[env]))] if outputs.terminated[env] else "",
+            "time over" if outputs.truncated[env] else "",
+            f"cost {sum(batch.cost_sums()[env].tolist()):.2f}",
             f"constraints violated for {violated_s:.1f} s",
         )
-        n_samples = int(lanes.n_steps()[lane]) + 1
-        return painter.paint(scene, {name: values[lane, :n_samples] for name, values in self._samples.items()}, texts)
+        n_samples = int(batch.n_steps()[env]) + 1
+        return painter.paint(scene, {name: values[env, :n_samples] for name, values in self._samples.items()}, texts)
 
     def show(self) -> None:
-        """Show the first lane's frame in the window."""
+        """Show the first environment's frame in the window."""
         if self._window is not None and not self._window.is_closed:
             self._window.show(self.paint()[0])
 
@@ -423,5 +423,5 @@ class LaneFrames:
 
 
 def _quotients(values: Floats, divisors: Floats) -> Floats:
-    """Return quotients, not a number where there is none: without damping, and in lanes that were never started."""
+    """Return quotients, not a number where there is none: without damping, and where nothing was started."""
     return np.divide(values, divisors, out=np.full_like(values, np.nan), where=divisors > 0.0)

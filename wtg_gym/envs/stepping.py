@@ -13,7 +13,7 @@ import numpy.typing as npt
 from numba.experimental import structref
 
 from wtg_gym.physics.integration import advance_interval
-from wtg_gym.physics.layout import Floats, LaneData, Layout, Network, Whole
+from wtg_gym.physics.layout import BatchData, Floats, Layout, Network, Whole
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE
 from wtg_gym.systems.routines import Routine
@@ -34,31 +34,31 @@ _act, _charge, _start_sensors, _measure, _observe, _end = (Routine(program).call
 
 
 class Outputs(NamedTuple):
-    """Outputs of a step, one row per lane."""
+    """Outputs of a step, one row per environment."""
 
-    observations: Observations  # (n_lanes, n_observation)
-    rewards: Floats  # (n_lanes,), 0 for a lane that had ended
-    infos: Floats  # (n_lanes, N_INFO)
-    terminated: npt.NDArray[np.bool_]  # (n_lanes,)
-    truncated: npt.NDArray[np.bool_]  # (n_lanes,)
-    #: Of rewards that are points of the score: the reference's costs up to each control step (n_lanes, n_steps + 1),
-    #: J0 (n_lanes,), and the points up to now, in units of Λ / 100 (n_lanes,).
+    observations: Observations  # (num_envs, n_observation)
+    rewards: Floats  # (num_envs,), 0 for an environment that had ended
+    infos: Floats  # (num_envs, N_INFO)
+    terminated: npt.NDArray[np.bool_]  # (num_envs,)
+    truncated: npt.NDArray[np.bool_]  # (num_envs,)
+    #: Of rewards that are points of the score: the reference's costs up to each control step (num_envs, n_steps + 1),
+    #: J0 (num_envs,), and the points up to now, in units of Λ / 100 (num_envs,).
     reference: Floats
     offsets: Floats
     gained: Floats
 
 
-def new_outputs(n_lanes: int, n_observation: int, n_steps: int = -1) -> Outputs:
+def new_outputs(num_envs: int, n_observation: int, n_steps: int = -1) -> Outputs:
     """Return outputs of zeros, for rewards that are points of the score in episodes of so many control steps."""
     return Outputs(
-        observations=np.zeros((n_lanes, n_observation), dtype=np.float32),
-        rewards=np.zeros(n_lanes),
-        infos=np.zeros((n_lanes, N_INFO)),
-        terminated=np.zeros(n_lanes, dtype=np.bool_),
-        truncated=np.zeros(n_lanes, dtype=np.bool_),
-        reference=np.zeros((n_lanes, n_steps + 1)),
-        offsets=np.ones(n_lanes),
-        gained=np.zeros(n_lanes),
+        observations=np.zeros((num_envs, n_observation), dtype=np.float32),
+        rewards=np.zeros(num_envs),
+        infos=np.zeros((num_envs, N_INFO)),
+        terminated=np.zeros(num_envs, dtype=np.bool_),
+        truncated=np.zeros(num_envs, dtype=np.bool_),
+        reference=np.zeros((num_envs, n_steps + 1)),
+        offsets=np.ones(num_envs),
+        gained=np.zeros(num_envs),
     )
 
 
@@ -88,9 +88,9 @@ def task_data(task: Task, choices: Choices, layout: Layout, n_intervals: int, po
         info=int(layout.first_rows(INFO, "info")[0]),
         was_active=int(layout.first_rows(TASK, "was_active")[0]),
         cost=int(layout.first_rows(COST, "cost")[0]),
-        active=layout.lane("active"),
-        status=layout.lane("status"),
-        step=layout.lane("step"),
+        active=layout.env("active"),
+        status=layout.env("status"),
+        step=layout.env("step"),
         sums=int(layout.first_rows(COST, "sums")[0]),
         n_intervals=n_intervals,
         points=points,
@@ -99,9 +99,9 @@ def task_data(task: Task, choices: Choices, layout: Layout, n_intervals: int, po
 
 @internal
 def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -> int:
-    """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none.
+    """Copy the actions of a block's environments, from row `first` of (num_envs, n_action) on; padding has none.
 
-    It returns the first lane with an action that is not finite, or -1.
+    It returns the first environment with an action that is not finite, or -1.
     """
     invalid = -1
     for a in range(task.wanted.shape[0]):
@@ -115,30 +115,30 @@ def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -
 
 @internal
 def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs, interval: int) -> None:
-    """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over.
+    """Copy what the environments of a block, from `first` on, have observed, and say whether their episodes are over.
 
     Costs add up over the intervals of a control step, and one with a violated constraint is enough.
     """
     for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
-        lane = first + x
+        env = first + x
         if interval == 0:
-            outputs.rewards[lane] = 0.0
+            outputs.rewards[env] = 0.0
         if scratch[task.was_active, x] > 0.5:
             # 0.0 - cost would give another sign of zero.
             cost = block[task.cost, x]
-            outputs.rewards[lane] = -cost if interval == 0 else outputs.rewards[lane] - cost
+            outputs.rewards[env] = -cost if interval == 0 else outputs.rewards[env] - cost
             for k in range(task.observed.shape[0]):
-                outputs.observations[lane, k] = scratch[task.observed[k], x]
+                outputs.observations[env, k] = scratch[task.observed[k], x]
             for k in range(N_INFO):
-                value, before = scratch[task.info + k, x], outputs.infos[lane, k]
+                value, before = scratch[task.info + k, x], outputs.infos[env, k]
                 if interval > 0 and _FIRST_TERM <= k < _FIRST_TERM + _N_TERMS:
                     value += before
                 elif interval > 0 and k == _CONSTRAINT:
                     value = max(value, before)
-                outputs.infos[lane, k] = value
+                outputs.infos[env, k] = value
             failed = block[task.status, x] != 0.0
-            outputs.terminated[lane] = failed
-            outputs.truncated[lane] = not failed and block[task.active, x] < 0.5
+            outputs.terminated[env] = failed
+            outputs.truncated[env] = not failed and block[task.active, x] < 0.5
 
 
 @compiled
@@ -149,7 +149,7 @@ def log_score(reference: float, cost: float, offset: float) -> float:
 
 @internal
 def _paid(block: Floats, x: int, task: TaskData) -> float:
-    """Return what the episode of a lane has cost up to now."""
+    """Return what the episode of an environment has cost up to now."""
     cost = 0.0
     for k in range(_N_TERMS):
         cost += block[task.sums + k, x]
@@ -158,21 +158,21 @@ def _paid(block: Floats, x: int, task: TaskData) -> float:
 
 @internal
 def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: Outputs) -> None:
-    """Reward the lanes of a block, from `first` on, with what their score has gained in a control step.
+    """Reward the environments of a block, from `first` on, with what their score has gained in a control step.
 
     On the way gained = (C_ref - C) / (C_ref at the end + J0) of the costs C up to now: what a mistake costs does not
     depend on what was paid before, which no sensor shows to a critic. At the end it is
     :func:`log_score`, to which the former is close unless the costs differ much.
     """
     for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
-        lane, cost = first + x, _paid(block, x, task)
+        env, cost = first + x, _paid(block, x, task)
         steps = math.ceil(block[task.step, x] / n_substeps) if block[task.active, x] > 0.5 else -1
-        whole, offset = outputs.reference[lane, -1], outputs.offsets[lane]
-        gained = (outputs.reference[lane, steps] - cost) / (whole + offset)
+        whole, offset = outputs.reference[env, -1], outputs.offsets[env]
+        gained = (outputs.reference[env, steps] - cost) / (whole + offset)
         if steps == -1:
             gained = log_score(whole, cost, offset)
-        outputs.rewards[lane] = task.points * (gained - outputs.gained[lane])
-        outputs.gained[lane] = gained
+        outputs.rewards[env] = task.points * (gained - outputs.gained[env])
+        outputs.gained[env] = gained
 
 
 # A call into compiled code unpacks every array that it is given, which takes a third as long as the step of one
@@ -196,21 +196,21 @@ structref.define_proxy(Bound, _BoundType, ["blocks", "scratches", "network", "da
 
 # The constructor that numba makes for `Bound` is not kept on disk: each process would compile it anew.
 @compiled
-def bind(blocks: Floats, scratches: Floats, network: Network, data: LaneData, task: TaskData, outputs: Outputs) -> Any:
+def bind(blocks: Floats, scratches: Floats, network: Network, data: BatchData, task: TaskData, outputs: Outputs) -> Any:
     """Return the arguments of :func:`step_blocks` that last.
 
     They are blocks (n_blocks, n_rows, width), the scratch of each worker (n_workers, n_scratch, width), and what is
-    read and written; the reward is 0 for lanes that had ended.
+    read and written; the reward is 0 for environments that had ended.
     """
     return Bound(blocks, scratches, network, data, task, outputs)
 
 
 @compiled
 def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int, starts: bool) -> int:
-    """Apply actions, advance one control step, observe and charge, for the lanes of blocks first … last - 1.
+    """Apply actions, advance one control step, observe and charge, for the environments of blocks first … last - 1.
 
-    Actions are (n_lanes, n_action). The scratch is that of a worker. `starts` takes the first measurements and
-    observations of prepared episodes instead. It returns -1, or the first lane with an action that is not finite: its
+    Actions are (num_envs, n_action). The scratch is that of a worker. `starts` takes the first measurements and
+    observations of prepared episodes instead. It returns -1, or the first environment with an action not finite: its
     block and those after it have not been stepped.
     """
     scratch, of_all = bound.scratches[worker], (bound.network, bound.data, bound.task, bound.outputs)
@@ -250,9 +250,9 @@ def _step_blocks(
 
 @compiled
 def pay(bound: Any, actions: Floats, paid: Floats, first: int, last: int, worker: int) -> None:
-    """Play episodes of blocks first … last - 1 that have just been started, with the same actions (n_lanes, n_action).
+    """Play episodes of blocks first … last - 1 that have just been started, with the same actions (num_envs, n_action).
 
-    What each has cost up to every control step is written to `paid` (n_lanes, n_steps + 1).
+    What each has cost up to every control step is written to `paid` (num_envs, n_steps + 1).
     """
     blocks, scratch, task = bound.blocks, bound.scratches[worker], bound.task
     of_all, width = (bound.network, bound.data, task, bound.outputs), blocks.shape[2]

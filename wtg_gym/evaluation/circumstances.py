@@ -14,7 +14,7 @@ import numpy.typing as npt
 from llvmlite.binding import get_host_cpu_name
 
 from wtg_gym import __version__
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -61,24 +61,24 @@ def environment_fingerprint(settings: EnvSettings) -> str:
         settings, strategy=REFERENCE_STRATEGY, action_mode="k+tau", observation_mode="privileged"
     )
     seeds = settings.resolved_suite.seeds("validation")[:_N_SCENARIOS]
-    lanes = TaskLanes(probed, len(seeds), 1)
+    batch = EnvBatch(probed, len(seeds), 1)
     try:
-        lanes.start(range(len(seeds)), lanes.scenarios(seeds))
-        digest = hashlib.sha256("\n".join(lanes.observation_names).encode())
-        digest.update(lanes.observations.tobytes())
+        batch.start(range(len(seeds)), batch.scenarios(seeds))
+        digest = hashlib.sha256("\n".join(batch.observation_names).encode())
+        digest.update(batch.observations.tobytes())
         for step in range(_N_STEPS):
-            if np.logical_or(*lanes.ended()).all():
+            if np.logical_or(*batch.ended()).all():
                 break
-            lanes.step(_actions(step, len(seeds), lanes.n_action))
-            for values in lanes.outputs:
+            batch.step(_actions(step, len(seeds), batch.n_action))
+            for values in batch.outputs:
                 digest.update(values.tobytes())
         return digest.hexdigest()
     finally:
-        lanes.close()
+        batch.close()
 
 
-def _actions(step: int, n_lanes: int, n_action: int) -> npt.NDArray[np.float64]:
-    """Return actions in [-1, 1], (n_lanes, n_action), from whole numbers: no generator and no rounding."""
-    count = (step * n_lanes + np.arange(n_lanes)[:, np.newaxis]) * n_action + np.arange(n_action)
+def _actions(step: int, num_envs: int, n_action: int) -> npt.NDArray[np.float64]:
+    """Return actions in [-1, 1], (num_envs, n_action), from whole numbers: no generator and no rounding."""
+    count = (step * num_envs + np.arange(num_envs)[:, np.newaxis]) * n_action + np.arange(n_action)
     actions: npt.NDArray[np.float64] = (count * 7919 % 2049 - 1024) / 1024.0
     return actions

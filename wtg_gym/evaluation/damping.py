@@ -118,9 +118,9 @@ class Loop:
         #: Intervals of a decision, and its length [s].
         self.n_held, self.step_s = settings.n_intervals, settings.step_s
         self.entry, self.tape = entry, Tape(dataclasses.replace(settings, control_dt=settings.interval_s), 1, 1)
-        self.layout: Layout = self.tape.lanes.simulator.layout
-        self.nominal_hz = self.tape.lanes.nominal_hz
-        errors, n_wtg = settings.resolved_suite.sensors, self.tape.lanes.n_wtg
+        self.layout: Layout = self.tape.batch.simulator.layout
+        self.nominal_hz = self.tape.batch.nominal_hz
+        errors, n_wtg = settings.resolved_suite.sensors, self.tape.batch.n_wtg
         assert errors is not None
         delays = errors.delays_s()
         self.scenario = scenario.Scenario(
@@ -147,26 +147,26 @@ class Loop:
         tape, entry = self.tape, self.entry
         tape.start([self.scenario])
         tape.set_law(self._smooth(tape.law(), slope))
-        lanes, state, actions = tape.lanes, None, np.zeros((1, tape.lanes.n_action))
+        batch, state, actions = tape.batch, None, np.zeros((1, tape.batch.n_action))
         # A law starts at rest.
         running, length_s = np.ones(1, dtype=np.bool_), _SETTLES_S if entry.policy else 2.0 * _WATCHED_S
         frequencies, n_steps = [], round(length_s / self.step_s)
         for step in range(n_steps):
             # Inputs of the last decision, at which the loop is differentiated.
-            self._seen, self._memory = lanes.observations.astype(np.float64), state
+            self._seen, self._memory = batch.observations.astype(np.float64), state
             if entry.policy is not None:
-                actions, state = answer(entry, lanes, state, step, running)
+                actions, state = answer(entry, batch, state, step, running)
             for _ in range(self.n_held):
                 tape.step(actions)
-            frequencies.append(self.nominal_hz * float(lanes.simulator.lane_values("coi")[0]))
-            if lanes.ended()[0].any():
+            frequencies.append(self.nominal_hz * float(batch.simulator.env_values("coi")[0]))
+            if batch.ended()[0].any():
                 raise PolicyError(f"entry {entry.label!r} loses the grid at rest, {self.scenario.name}")
         moves_hz = float(np.ptp(frequencies[-round(_WATCHED_S / self.step_s) :]))
         return Rest(moves_hz, frequencies[-1], float(np.abs(actions).max(initial=0.0)))
 
     def _smooth(self, law: Floats, slope: str) -> Floats:
         """Return laws (1, n_wtg, 4) whose g(ω) goes on with its slope below, or above, beyond the corner."""
-        control = self.tape.lanes.simulator.settings.control
+        control = self.tape.batch.simulator.settings.control
         below = control.frequency_setpoint_pu - control.frequency_min_pu
         above = control.frequency_max_pu - control.frequency_setpoint_pu
         k_min, k_nominal, k_max = (LAW_PARAMETERS.index(name) for name in ("k_min", "k_nominal", "k_max"))
@@ -217,13 +217,13 @@ class Loop:
         layout, kept = self.layout, self.layout.span(sensing.KEPT)
         keep = np.ones(layout.n_rows, dtype=np.bool_)
         keep[kept.first : kept.first + kept.n_units * kept.n_rows] = False
-        keep[linearisation.one_way_limits(self.tape.lanes.simulator.blocks[0, :, 0], layout)] = False
+        keep[linearisation.one_way_limits(self.tape.batch.simulator.blocks[0, :, 0], layout)] = False
         return np.flatnonzero(keep)
 
     def _plant(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return A and B of an interval, and C and D of what is observed at the end of a decision."""
         tape, rows, last = self.tape, self._rows, self.tape.n_steps - 1
-        n_observation, terms = tape.lanes.n_observation, np.zeros((1, len(cost.COST_TERMS)))
+        n_observation, terms = tape.batch.n_observation, np.zeros((1, len(cost.COST_TERMS)))
         states, actions = [], []
         for row in rows:
             carried = np.zeros((1, tape.n_carried))
@@ -244,7 +244,7 @@ class Loop:
 
     def _policy(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return K, M, F and G of the policy; no rows or columns of memory where it has none, zeros for a law."""
-        n_observation, n_action = self.tape.lanes.n_observation, self.tape.lanes.n_action
+        n_observation, n_action = self.tape.batch.n_observation, self.tape.batch.n_action
         memory = _flat(self._memory, self.entry)
         here = np.concatenate([self._seen.ravel(), memory])
         if self.entry.policy is None:
@@ -261,8 +261,8 @@ class Loop:
         """Return actions and next memories (n, any) for observations and memories (n, any)."""
         policy: Any = self.entry.policy
         n, arrays = len(inputs), self._memory or ()
-        n_rows = n * (self.tape.lanes.n_wtg if self.entry.per_group else 1)
-        ends = np.cumsum([self.tape.lanes.n_observation, *(array.size for array in arrays)])
+        n_rows = n * (self.tape.batch.n_wtg if self.entry.per_group else 1)
+        ends = np.cumsum([self.tape.batch.n_observation, *(array.size for array in arrays)])
         seen, *memories = (part.reshape(n_rows, -1) for part in np.split(inputs, ends[:-1], axis=1))
         state = tuple(memory.astype(array.dtype) for memory, array in zip(memories, arrays, strict=True)) or None
         starts = np.zeros(n_rows, dtype=np.bool_)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from wtg_gym.envs.lanes import TERMINATION_REASONS
+from wtg_gym.envs.batch import TERMINATION_REASONS
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.ranges import require_count
 

@@ -24,7 +24,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError, policy_process
 from wtg_gym.policies.entry import check_entries, check_version, run_label
 from wtg_gym.policies.entry_folder import load_entries
-from wtg_gym.policies.play import play, started_lanes
+from wtg_gym.policies.play import play, started_batch
 from wtg_gym.ranges import is_whole, require_count, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.scenarios.suite import MOST_SCENARIOS, Suite
@@ -293,18 +293,18 @@ def play_batch(
 ) -> Played:
     """Play and measure one batch of scenarios, or of seeds of the settings' suite, from start to end."""
     try:
-        with started_lanes(entry, settings, scenarios, n_threads) as (lanes, drawn):
-            courses_hz = frequencies(lanes, play(entry, lanes))
+        with started_batch(entry, settings, scenarios, n_threads) as (batch, drawn):
+            courses_hz = frequencies(batch, play(entry, batch))
             return [
                 Episode(
                     entry=entry.name,
                     training_seed=entry.training_seed,
-                    seed=int(lanes.scenario_seeds[lane]),
+                    seed=int(batch.scenario_seeds[env]),
                     scenario=scenario.name,
-                    duration_s=min(scenario.duration_s, lanes.duration_s),
-                    **measure(lanes, lane, course_hz),
+                    duration_s=min(scenario.duration_s, batch.duration_s),
+                    **measure(batch, env, course_hz),
                 )
-                for lane, (scenario, course_hz) in enumerate(zip(drawn, courses_hz, strict=True))
+                for env, (scenario, course_hz) in enumerate(zip(drawn, courses_hz, strict=True))
             ]
     except policy_process.NotIsolatedError:
         raise

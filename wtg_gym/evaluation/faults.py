@@ -65,7 +65,7 @@ class FaultyPolicy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_action), next state)."""
+        """Return (actions (num_envs, n_action), next state)."""
         seen = np.array(observation)
         first = seen[:: self.n_parts, : self.width]
         step, kept, memory = (0, first, None) if state is None else state

@@ -20,7 +20,7 @@ from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.trajectory import Trajectory, record
 from wtg_gym.policies.entry import Entry, check_version
-from wtg_gym.policies.play import play, started_lanes
+from wtg_gym.policies.play import play, started_batch
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 from wtg_gym.tasks import V1
 
@@ -271,12 +271,12 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
     settings = EnvSettings(version=V1.version, sensors="exact", duration_s=test.duration_s, plant=plant)
     actions: list[layout.Floats] = []
     if entry.policy is not None:
-        with started_lanes(entry, settings, [test.scenario(plant)], 1) as (lanes, _):
-            collections.deque(play(entry, lanes, actions), maxlen=0)
+        with started_batch(entry, settings, [test.scenario(plant)], 1) as (batch, _):
+            collections.deque(play(entry, batch, actions), maxlen=0)
     # Once more with the same actions, so short an interval that every simulation step is seen.
     n_held = round(settings.step_s / plant.simulation_dt)
     finest = dataclasses.replace(settings, control_dt=plant.simulation_dt)
-    with started_lanes(entry, finest, [test.scenario(plant)], 1) as (lanes, _):
-        held = actions or [np.zeros((1, lanes.n_action))]
-        run = Recording(**record(lanes.simulator, lambda step: lanes.step(held[min(step // n_held, len(held) - 1)])))
+    with started_batch(entry, finest, [test.scenario(plant)], 1) as (batch, _):
+        held = actions or [np.zeros((1, batch.n_action))]
+        run = Recording(**record(batch.simulator, lambda step: batch.step(held[min(step // n_held, len(held) - 1)])))
     return run, test.verdict(run)

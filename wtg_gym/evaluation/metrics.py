@@ -1,6 +1,6 @@
 """The metrics of an episode: unit, definition and measurement.
 
-Every lane is measured from its own values alone, so that no number depends on the batch it was played in.
+Every environment is measured from its own values alone, so that no number depends on the batch it was played in.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
+from wtg_gym.envs.batch import TERMINATION_REASONS, EnvBatch
 from wtg_gym.physics.protection import Status
 from wtg_gym.tasks.cost import COST_TERMS
 
@@ -66,15 +66,15 @@ METRICS: Mapping[str, Metric] = {
 }
 
 
-def frequencies(lanes: TaskLanes, steps: Iterable[npt.NDArray[np.bool_]]) -> list[Floats]:
-    """Follow started episodes to their ends; return each lane's frequency [Hz] at its start and after its steps.
+def frequencies(batch: EnvBatch, steps: Iterable[npt.NDArray[np.bool_]]) -> list[Floats]:
+    """Follow started episodes to their ends; return each environment's frequency [Hz] at its start and after its steps.
 
     `steps` are those of :func:`~wtg_gym.policies.play.play`. The frequency is that of the centre of inertia, whose
     course the simulator does not keep.
     """
-    samples = [lanes.nominal_hz * lanes.simulator.lane_values("coi")]
-    samples += [lanes.nominal_hz * lanes.simulator.lane_values("coi") for _ in steps]
-    return [course[: 1 + n] for course, n in zip(np.transpose(samples), lanes.n_steps().tolist(), strict=True)]
+    samples = [batch.nominal_hz * batch.simulator.env_values("coi")]
+    samples += [batch.nominal_hz * batch.simulator.env_values("coi") for _ in steps]
+    return [course[: 1 + n] for course, n in zip(np.transpose(samples), batch.n_steps().tolist(), strict=True)]
 
 
 def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: float) -> float:
@@ -86,27 +86,27 @@ def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: 
     return math.fsum(frequency_hz[-n_window:].tolist()) / n_window - nominal_hz
 
 
-def measure(lanes: TaskLanes, lane: int, frequency_hz: Floats) -> dict[str, Any]:
-    """Return "metrics" of a lane that is over, by the names in :data:`METRICS`, and its "failure" (empty: none).
+def measure(batch: EnvBatch, env: int, frequency_hz: Floats) -> dict[str, Any]:
+    """Return "metrics" of an episode that is over, by the names in :data:`METRICS`, and its "failure" (empty: none).
 
-    `frequency_hz` is the lane's part of :func:`frequencies`.
+    `frequency_hz` is the environment's part of :func:`frequencies`.
     """
-    simulator, nominal_hz = lanes.simulator, lanes.nominal_hz
+    simulator, nominal_hz = batch.simulator, batch.nominal_hz
     base_mva, extended = simulator.settings.case.base_mva, simulator.settings.extended
-    status = Status(int(lanes.statuses()[lane]))
-    n_steps, dt = frequency_hz.size - 1, lanes.settings.step_s
+    status = Status(int(batch.statuses()[env]))
+    n_steps, dt = frequency_hz.size - 1, batch.settings.step_s
 
     def grid(name: str) -> float:
-        return float(simulator.lane_values(name)[lane])
+        return float(simulator.env_values(name)[env])
 
     def task(name: str) -> float:
-        return float(lanes.task_values(name)[lane])
+        return float(batch.task_values(name)[env])
 
     def groups(name: str) -> list[float]:
-        values: list[float] = simulator.wtg_values(name)[lane].tolist()
+        values: list[float] = simulator.wtg_values(name)[env].tolist()
         return values
 
-    terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
+    terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, batch.cost_sums()[env], strict=True)}
     energies = zip(simulator.plant.share, groups("energy_captured"), strict=True)
     captured = math.fsum(share * energy for share, energy in energies)
     is_whole = status == Status.RUNNING
@@ -127,10 +127,10 @@ def measure(lanes: TaskLanes, lane: int, frequency_hz: Floats) -> dict[str, Any]
         "largest_tip_speed_ratio": max(groups("largest_tsr")),
         "overload_time_s": max(groups("overload_time")),
         "peak_power_pu": max(groups("peak_power")),
-        "constraint_time_s": task("constraint_sum") * lanes.settings.interval_s,
+        "constraint_time_s": task("constraint_sum") * batch.settings.interval_s,
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
         "shed_energy_mwh": grid("shed_energy") * base_mva / 3600.0 if extended else None,
         "survived_s": grid("step") * simulator.plant.simulation_dt,
-        "reserve_margin": float(lanes.reserve_margins[lane]) if lanes.suite.margins else None,
+        "reserve_margin": float(batch.reserve_margins[env]) if batch.suite.margins else None,
     }
     return {"metrics": metrics, "failure": TERMINATION_REASONS[status]}

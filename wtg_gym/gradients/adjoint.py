@@ -18,7 +18,7 @@ from wtg_gym.envs.stepping import TaskData, read_actions
 from wtg_gym.physics import integration
 from wtg_gym.physics import step as of_step
 from wtg_gym.physics.integration import N_STAGES, interval_of, stage_scalars, strike
-from wtg_gym.physics.layout import Floats, LaneData, Layout, Network, Whole
+from wtg_gym.physics.layout import BatchData, Floats, Layout, Network, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.compiled import compiled, internal
@@ -130,8 +130,8 @@ class Bars(NamedTuple):
     """Cotangents of a control step."""
 
     blocks: Floats  # after the step, on return before it (n_blocks, n_rows, width)
-    observations: Floats  # (n_lanes, n_observation)
-    actions: Floats  # are written (n_lanes, n_action)
+    observations: Floats  # (num_envs, n_observation)
+    actions: Floats  # are written (num_envs, n_action)
     constants: Floats  # are added to (n_blocks, n_numbers, width)
 
 
@@ -174,7 +174,7 @@ def _row(noted: Noted, step: int, stage: int) -> int:
 
 @internal
 def _strike(
-    block: Floats, scratch: Floats, first: int, network: Network, data: LaneData, tape: tuple[Rules, Work], step: int
+    block: Floats, scratch: Floats, first: int, network: Network, data: BatchData, tape: tuple[Rules, Work], step: int
 ) -> None:
     """Let events strike; note the admittances that they leave, and which governors they take away."""
     rules, work = tape
@@ -308,12 +308,12 @@ def pull(
     first: int,
     last: int,
     network: Network,
-    data: LaneData,
+    data: BatchData,
     task: TaskData,
     actions: Floats,
     tape: tuple[Rules, Work],
 ) -> None:
-    """Go back through one control step of the blocks first … last - 1, with its actions (n_lanes, n_action).
+    """Go back through one control step of the blocks first … last - 1, with its actions (num_envs, n_action).
 
     The blocks (n_blocks, n_rows, width) stand as before the step, and as after it on return; `bars` are the cotangents.
     """
@@ -323,25 +323,25 @@ def pull(
     of_charging = _row(p, network.facts.n_substeps, 0) + p.flows + p.sweep + p.rates
     of_measuring, of_observing = of_charging + p.charged, of_charging + p.charged + p.measured
     for b in range(first, last):
-        block, block_bars, to, lane = blocks[b], bars.blocks[b], bars.constants[b], b * width
-        read_actions(scratch, actions, lane, task)
+        block, block_bars, to, env = blocks[b], bars.blocks[b], bars.constants[b], b * width
+        read_actions(scratch, actions, env, task)
         taped, back = (block, scratch, work.tape), (block_bars, scratch_bars, work.tape, scratch, to)
         _act(taped, tables, NONE, 0)
-        _replay(block, scratch, lane, network, data, tape)
+        _replay(block, scratch, env, network, data, tape)
         _charge(taped, tables, NONE, of_charging)
         _measure(taped, tables, NONE, of_measuring)
         _observe(taped, tables, NONE, of_observing)
 
         scratch_bars[:] = 0.0
-        n_lanes = min(width, actions.shape[0] - lane)
+        num_envs = min(width, actions.shape[0] - env)
         for k in range(task.observed.shape[0]):
-            for x in range(n_lanes):
-                scratch_bars[task.observed[k], x] += bars.observations[lane + x, k]
+            for x in range(num_envs):
+                scratch_bars[task.observed[k], x] += bars.observations[env + x, k]
         _observe_back(back, tables, NONE, of_observing)
         _measure_back(back, tables, NONE, of_measuring)
         _charge_back(back, tables, NONE, of_charging)
         _pull_interval(block_bars, to, network, rules, work)
         _act_back(back, tables, NONE, 0)
         for a in range(task.wanted.shape[0]):
-            for x in range(n_lanes):
-                bars.actions[lane + x, a] = scratch_bars[task.wanted[a], x]
+            for x in range(num_envs):
+                bars.actions[env + x, a] = scratch_bars[task.wanted[a], x]

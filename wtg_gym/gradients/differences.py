@@ -14,7 +14,7 @@ from wtg_gym.physics.scenario import Scenario
 
 
 class Difference(NamedTuple):
-    """Slopes of each episode's cost as something moves, by the gradient and by plays (n_lanes,).
+    """Slopes of each episode's cost as something moves, by the gradient and by plays (num_envs,).
 
     Each is in the cost's unit per unit of what moves: of the direction through the actions, of a number of the law
     [p.u. or 1/s] in all groups alike, of a parameter of the plant in its own unit.
@@ -28,7 +28,7 @@ class Difference(NamedTuple):
 
     @property
     def error(self) -> Floats:
-        """Distance of the gradient from the central difference, as a share of the larger of both (n_lanes,)."""
+        """Distance of the gradient from the central difference, as a share of the larger of both (num_envs,)."""
         size = np.maximum(np.abs(self.gradient), np.abs(self.central))
         return np.abs(self.gradient - self.central) / np.where(size > 0.0, size, 1.0)
 
@@ -114,7 +114,7 @@ class _Plays(NamedTuple):
     weight: Floats
 
     def cost(self, parameters: Mapping[str, float] = MappingProxyType({})) -> Floats:
-        """Return each episode's cost (n_lanes,), with other values of some parameters."""
+        """Return each episode's cost (num_envs,), with other values of some parameters."""
         if parameters:
             self.tape.set_parameters(parameters)
         self.tape.start(self.scenarios)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wtg_gym.physics.layout import Floats, Layout, Whole, rows_of_lanes
+from wtg_gym.physics.layout import Floats, Layout, Whole, rows_of_envs
 from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters
 from wtg_gym.physics.plant import Plant, plant_tables
 
@@ -122,31 +122,31 @@ class Moved:
                 meant = ("machine", leaf.name, leaf.place) if leaf.part == "machines" else ("turbine", leaf.name, None)
                 self._places[i] = np.array(places_of(*meant), dtype=np.int64)
 
-    def in_force(self, blocks: Floats, n_lanes: int) -> Floats:
-        """Return how far an environment's own row follows each constant of the plant (n_lanes, n_leaves); else 1.
+    def in_force(self, blocks: Floats, num_envs: int) -> Floats:
+        """Return how far an environment's own row follows each constant of the plant (num_envs, n_leaves); else 1.
 
         A scenario scales inertias, 1/2H = 1/(scale · 2H). Its droop takes the place of the plant's, which then means
         the droop in force; a lost governor has none.
         """
-        factors = np.ones((n_lanes, len(self._slopes)))
+        factors = np.ones((num_envs, len(self._slopes)))
         for i, (row, value, name) in self._rows.items():
-            ratio = rows_of_lanes(blocks, row, n_lanes)[:, 0] / value
+            ratio = rows_of_envs(blocks, row, num_envs)[:, 0] / value
             factors[:, i] = ratio**2 if name == _DROOP else -ratio
         return factors
 
     def pull(self, bars: Floats, constants: Floats, in_force: Floats) -> Floats:
-        """Return cotangents of the parameters (n_lanes, n_parameters), by what was `in_force` before the step.
+        """Return cotangents of the parameters (num_envs, n_parameters), by what was `in_force` before the step.
 
         Those of the constants that have rows in the blocks are taken out of `bars`; `constants` are the cotangents of
         the table's numbers (n_blocks, n_numbers, width).
         """
-        n_lanes = len(in_force)
+        num_envs = len(in_force)
         leaves = np.zeros_like(in_force)
         for i, (row, *_) in self._rows.items():
-            leaves[:, i] = rows_of_lanes(bars, row, n_lanes)[:, 0]
+            leaves[:, i] = rows_of_envs(bars, row, num_envs)[:, 0]
             bars[:, row] = 0.0
         for i, places in self._places.items():
-            leaves[:, i] = rows_of_lanes(constants, places, n_lanes).sum(axis=1)
+            leaves[:, i] = rows_of_envs(constants, places, num_envs).sum(axis=1)
         return np.asarray(leaves * in_force @ self._slopes)
 
 

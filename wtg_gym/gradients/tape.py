@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.batch import BatchSnapshot, EnvBatch
 from wtg_gym.envs.interface import as_actions
-from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, step_blocks
 from wtg_gym.gradients.adjoint import N_TAPED, Bars, Work, pull, routines_of, rules_of, work_of
 from wtg_gym.gradients.adjoint import programs_of as taped_programs
 from wtg_gym.gradients.plant_parameters import Moved, known_parameters, require_known_parameters, with_parameters
 from wtg_gym.physics import integration
-from wtg_gym.physics.layout import Floats, Whole, put_rows, rows_of_lanes
+from wtg_gym.physics.layout import Floats, Whole, put_rows, rows_of_envs
 from wtg_gym.physics.plant import PlantMap, PlantTables, plant_tables, programs_of, with_places
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import require_known
@@ -35,26 +35,26 @@ _STEPS_PER_CHECKPOINT = 25
 class Pulled(NamedTuple):
     """Cotangents before a control step."""
 
-    carried: Floats  # of what the step began from (n_lanes, n_carried)
-    actions: Floats  # (n_lanes, n_action)
-    law: Floats  # what the step adds to those of each group's law (n_lanes, n_wtg, 4), of LAW_PARAMETERS
-    parameters: Floats  # and to those of the plant's parameters (n_lanes, n_parameters)
+    carried: Floats  # of what the step began from (num_envs, n_carried)
+    actions: Floats  # (num_envs, n_action)
+    law: Floats  # what the step adds to those of each group's law (num_envs, n_wtg, 4), of LAW_PARAMETERS
+    parameters: Floats  # and to those of the plant's parameters (num_envs, n_parameters)
 
 
 class Played(NamedTuple):
     """What episodes came to, step by step."""
 
-    terms: Floats  # of the cost (n_steps, n_lanes, n_terms), in the order of COST_TERMS
-    outputs: Floats  # at the end of each step (n_steps, n_lanes, n_outputs), see Tape.output_names
+    terms: Floats  # of the cost (n_steps, num_envs, n_terms), in the order of COST_TERMS
+    outputs: Floats  # at the end of each step (n_steps, num_envs, n_outputs), see Tape.output_names
 
 
 class Gradient(NamedTuple):
     """What episodes cost, and how that follows their actions, laws and plant."""
 
-    terms: Floats  # terms of the cost, sums over the steps (n_lanes, n_terms), in the order of COST_TERMS
-    actions: Floats  # of the weighted sum of the terms, with respect to the actions (n_steps, n_lanes, n_action)
-    law: Floats  # with respect to each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS
-    parameters: Floats  # with respect to the plant's parameters that the tape was asked for (n_lanes, n_parameters)
+    terms: Floats  # terms of the cost, sums over the steps (num_envs, n_terms), in the order of COST_TERMS
+    actions: Floats  # of the weighted sum of the terms, with respect to the actions (n_steps, num_envs, n_action)
+    law: Floats  # with respect to each group's law (num_envs, n_wtg, 4), in the order of LAW_PARAMETERS
+    parameters: Floats  # with respect to the plant's parameters that the tape was asked for (num_envs, n_parameters)
 
 
 def _shaped(name: str, values: Any, *shapes: tuple[int, ...]) -> Floats:
@@ -83,7 +83,7 @@ class _Recording:
 
     def __init__(self, step: Callable[[Floats, Floats], None]) -> None:
         self._step = step
-        #: Actions of each step (n_lanes, n_action).
+        #: Actions of each step (num_envs, n_action).
         self.actions: list[Floats] = []
         #: Blocks before every so many steps, and before each step from the latest of these asked for.
         self._checkpoints: list[Floats] = []
@@ -127,7 +127,7 @@ class Tape:
 
     Args:
         settings: of the environment.
-        n_lanes: number of environments, side by side.
+        num_envs: number of environments, side by side.
         n_threads: threads to step with; None for one per processor.
         parameters: of the plant that gradients are wanted for as well, by name; see :func:`known_parameters`.
 
@@ -136,7 +136,7 @@ class Tape:
     """
 
     def __init__(
-        self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None, parameters: Sequence[str] = ()
+        self, settings: EnvSettings, num_envs: int = 1, n_threads: int | None = None, parameters: Sequence[str] = ()
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
         plant = settings.resolved_plant
@@ -145,17 +145,17 @@ class Tape:
             raise ValueError("gradients do not know loads that depend on the frequency: load_frequency_dependence")
         #: Names of the plant's parameters that gradients are taken with respect to.
         self.parameters = parameters
-        self._open(TaskLanes(dataclasses.replace(settings, reward="cost"), n_lanes, n_threads))
+        self._open(EnvBatch(dataclasses.replace(settings, reward="cost"), num_envs, n_threads))
         #: Counts what makes the tape forget its steps: starts, and other values of parameters.
         self.n_starts = 0
         self._begin(started=False)
 
-    def _open(self, lanes: TaskLanes) -> None:
+    def _open(self, batch: EnvBatch) -> None:
         """Take environments whose steps are to be differentiated."""
-        self.lanes = lanes
+        self.batch = batch
         # A step goes through its intervals one by one: each is recorded, and gone back through.
-        lanes.task_data = lanes.task_data._replace(n_intervals=1)
-        simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
+        batch.task_data = batch.task_data._replace(n_intervals=1)
+        simulator, settings, layout = batch.simulator, batch.settings, batch.simulator.layout
         task, built = settings.task, plant_tables(simulator.settings)
         units = task.units(settings.choices)
         programs = self._programs(built)
@@ -174,18 +174,18 @@ class Tape:
             inv_tau = layout.first_rows(ACTING, "group")
         self._law_rows = np.stack([*(layout.wtg(name) for name in LAW_PARAMETERS[:3]), inv_tau], axis=1)
         terms = layout.first_rows(COST, "terms")[0] + np.arange(len(COST_TERMS))
-        outputs = [layout.lane("coi"), layout.first_rows(TASK, "rocof")[0]]
+        outputs = [layout.env("coi"), layout.first_rows(TASK, "rocof")[0]]
         outputs += [*layout.wtg("rotor_speed"), *layout.machine("speed")]
         #: Rows of a block: of the terms of a step's cost, and of what `output_names` names.
         self._term_rows, self._output_rows = terms, np.array(outputs, dtype=np.int64)
-        self._scratch_outputs = Outputs._make(np.zeros_like(array) for array in lanes.outputs)
+        self._scratch_outputs = Outputs._make(np.zeros_like(array) for array in batch.outputs)
 
     def _programs(self, plant: PlantTables) -> tuple[Program, ...]:
-        task = self.lanes.settings.task
+        task = self.batch.settings.task
         return programs_of(plant, *integration.PROGRAMS, *task.programs, *taped_programs(task))
 
     def _link(self, programs: Sequence[Program]) -> None:
-        simulator = self.lanes.simulator
+        simulator = self.batch.simulator
         routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
         self._plant = self._plant.with_code(code_of(programs, {simulator.width: routines}, simulator.functions()))
 
@@ -196,8 +196,8 @@ class Tape:
     @property
     def output_names(self) -> tuple[str, ...]:
         """Names of the outputs at the end of each step, with their units."""
-        rotors = (f"rotor_{j}_speed_pu" for j in range(self.lanes.n_wtg))
-        machines = (f"machine_{i}_speed_pu" for i in range(self.lanes.simulator.layout.n_sync))
+        rotors = (f"rotor_{j}_speed_pu" for j in range(self.batch.n_wtg))
+        machines = (f"machine_{i}_speed_pu" for i in range(self.batch.simulator.layout.n_sync))
         return ("frequency_pu", "rocof_hz_s", *rotors, *machines)
 
     def set_parameters(self, values: Mapping[str, float]) -> None:
@@ -208,42 +208,42 @@ class Tape:
         """
         if unknown := sorted(set(values) - set(self.parameters)):
             raise ValueError(f"the tape has no parameters {unknown}; it has: {', '.join(self.parameters) or 'none'}")
-        plant = with_parameters(self.lanes.simulator.settings, values)
-        settings = dataclasses.replace(self.lanes.settings, plant=plant)
-        self._open(TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.threads.n_threads))
+        plant = with_parameters(self.batch.simulator.settings, values)
+        settings = dataclasses.replace(self.batch.settings, plant=plant)
+        self._open(EnvBatch(settings, self.batch.num_envs, self.batch.simulator.threads.n_threads))
         self._begin(started=False)
 
     def parameter_values(self) -> dict[str, float]:
         """Return the plant's values of the tape's parameters."""
-        values = known_parameters(self.lanes.simulator.settings)
+        values = known_parameters(self.batch.simulator.settings)
         return {name: values[name] for name in self.parameters}
 
     @property
     def n_steps(self) -> int:
         """Steps taken since the start."""
-        return len(self._recording.actions) // self.lanes.settings.n_intervals
+        return len(self._recording.actions) // self.batch.settings.n_intervals
 
     @property
     def n_carried(self) -> int:
         """How many numbers each environment carries to the next step, of those that cost and observations depend on."""
-        return self.lanes.simulator.layout.n_rows
+        return self.batch.simulator.layout.n_rows
 
     @undivided
     def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
         """Start an episode in every environment, of one scenario each, and return the first observations."""
-        n_lanes = self.lanes.n_lanes
-        if len(scenarios) != n_lanes or not all(isinstance(scenario, Scenario) for scenario in scenarios):
-            raise ValueError(f"episodes need {n_lanes} scenarios, one per environment, got {scenarios!r:.60}")
-        self.lanes.start(list(range(n_lanes)), scenarios)
+        num_envs = self.batch.num_envs
+        if len(scenarios) != num_envs or not all(isinstance(scenario, Scenario) for scenario in scenarios):
+            raise ValueError(f"episodes need {num_envs} scenarios, one per environment, got {scenarios!r:.60}")
+        self.batch.start(list(range(num_envs)), scenarios)
         self._begin(started=True)
-        return self.lanes.observations.copy()
+        return self.batch.observations.copy()
 
     @undivided
-    def resume(self, snapshot: LanesSnapshot) -> npt.NDArray[np.float32]:
-        """Go on from a snapshot of `lanes` as if episodes started there, and return its observations."""
-        self.lanes.restore(snapshot)
+    def resume(self, snapshot: BatchSnapshot) -> npt.NDArray[np.float32]:
+        """Go on from a snapshot of `batch` as if episodes started there, and return its observations."""
+        self.batch.restore(snapshot)
         self._begin(started=True)
-        return self.lanes.observations.copy()
+        return self.batch.observations.copy()
 
     def _begin(self, *, started: bool) -> None:
         self._recording, self._started = _Recording(self._again), started
@@ -255,20 +255,20 @@ class Tape:
             raise ValueError("there are no episodes yet: call start() first")
 
     def set_law(self, law: Floats) -> None:
-        """Replace the parameters of each group's law (n_lanes, n_wtg, 4) before the first step.
+        """Replace the parameters of each group's law (num_envs, n_wtg, 4) before the first step.
 
         The episodes start where they would have started: a k_nominal other than the law's own is a change at time 0.
         """
         self.require_started()
         if self.n_steps:
             raise ValueError("the law can be replaced before the first step only")
-        law = _shaped("law", law, (self.lanes.n_lanes, *self._law_rows.shape))
+        law = _shaped("law", law, (self.batch.num_envs, *self._law_rows.shape))
         if not np.isfinite(law).all():
             raise ValueError("the parameters of laws must be finite numbers")
-        put_rows(self.lanes.simulator.blocks, self._law_rows, law)
+        put_rows(self.batch.simulator.blocks, self._law_rows, law)
 
     def law(self) -> Floats:
-        """Return the parameters of each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS."""
+        """Return the parameters of each group's law (num_envs, n_wtg, 4), in the order of LAW_PARAMETERS."""
         self.require_started()
         return self._rows(self._law_rows)
 
@@ -277,39 +277,39 @@ class Tape:
         """Step every running environment.
 
         Args:
-            actions: (n_lanes, n_action); clipped to [-1, 1].
+            actions: (num_envs, n_action); clipped to [-1, 1].
 
         Returns:
-            observations (n_lanes, n_observation) and the terms of the step's cost (n_lanes, n_terms), in the order of
+            observations (num_envs, n_observation) and the terms of the step's cost (num_envs, n_terms), in the order of
             `COST_TERMS`; zero for those that had ended.
         """
         self.require_started()
-        simulator, actions = self.lanes.simulator, as_actions(actions, (self.lanes.n_lanes, self.lanes.n_action))
-        terms = np.zeros((self.lanes.n_lanes, len(COST_TERMS)))
-        for _ in range(self.lanes.settings.n_intervals):
-            running = simulator.lane_values("active") > 0.5
+        simulator, actions = self.batch.simulator, as_actions(actions, (self.batch.num_envs, self.batch.n_action))
+        terms = np.zeros((self.batch.num_envs, len(COST_TERMS)))
+        for _ in range(self.batch.settings.n_intervals):
+            running = simulator.env_values("active") > 0.5
             before = simulator.blocks.copy() if self._recording.needs_blocks else None
-            self.lanes.step(actions)
+            self.batch.step(actions)
             self._recording.add(before, actions)
             terms += np.where(running[:, np.newaxis], self._rows(self._term_rows), 0.0)
-        return self.lanes.observations.copy(), terms
+        return self.batch.observations.copy(), terms
 
     def before(self, step: int) -> Floats:
         """Return the simulator's blocks as they stood before a step."""
-        return self._recording.before(step * self.lanes.settings.n_intervals)
+        return self._recording.before(step * self.batch.settings.n_intervals)
 
     @undivided
     def _again(self, blocks: Floats, actions: Floats) -> None:
-        sim = self.lanes.simulator
-        bound = bind(blocks, sim.scratches, sim.plant.network, sim.data, self.lanes.task_data, self._scratch_outputs)
+        sim = self.batch.simulator
+        bound = bind(blocks, sim.scratches, sim.plant.network, sim.data, self.batch.task_data, self._scratch_outputs)
         sim.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
 
     def _rows(self, rows: Whole, blocks: Floats | None = None) -> Floats:
-        """Return rows of every environment (n_lanes, …), in blocks like those of the simulator; None for these."""
-        return rows_of_lanes(self.lanes.simulator.blocks if blocks is None else blocks, rows, self.lanes.n_lanes)
+        """Return rows of every environment (num_envs, …), in blocks like those of the simulator; None for these."""
+        return rows_of_envs(self.batch.simulator.blocks if blocks is None else blocks, rows, self.batch.num_envs)
 
     def outputs(self) -> Floats:
-        """Return the outputs at the end of the latest step (n_lanes, n_outputs), in the order of `output_names`."""
+        """Return the outputs at the end of the latest step (num_envs, n_outputs), in the order of `output_names`."""
         self.require_started()
         return self._rows(self._output_rows)
 
@@ -325,21 +325,21 @@ class Tape:
 
         Args:
             step: its number, 0 for the first; steps are best gone through in turn.
-            carried: derivatives with respect to what the step left behind (n_lanes, n_carried): those that the pull
+            carried: derivatives with respect to what the step left behind (num_envs, n_carried): those that the pull
                 through the following step has returned, zeros for the last.
-            terms: with respect to the terms of the step's cost (n_lanes, n_terms).
-            observations: with respect to the observations after the step (n_lanes, n_observation); None for zeros.
-            outputs: with respect to the outputs after the step (n_lanes, n_outputs); None for zeros.
+            terms: with respect to the terms of the step's cost (num_envs, n_terms).
+            observations: with respect to the observations after the step (num_envs, n_observation); None for zeros.
+            outputs: with respect to the outputs after the step (num_envs, n_outputs); None for zeros.
 
         Raises:
             ValueError: the step does not exist, or derivatives have another shape.
         """
-        lanes, n = self.lanes, self.lanes.settings.n_intervals
+        batch, n = self.batch, self.batch.settings.n_intervals
         bars, all_rows = np.zeros_like(self._recording.before(n * step)), np.arange(self.n_carried)
-        put_rows(bars, all_rows, _shaped("carried", carried, (lanes.n_lanes, self.n_carried)))
-        terms = _shaped("terms", terms, (lanes.n_lanes, self._term_rows.size))
-        shown = _shaped("outputs", outputs, (lanes.n_lanes, self._output_rows.size))
-        seen = _shaped("observations", observations, (lanes.n_lanes, lanes.n_observation))
+        put_rows(bars, all_rows, _shaped("carried", carried, (batch.num_envs, self.n_carried)))
+        terms = _shaped("terms", terms, (batch.num_envs, self._term_rows.size))
+        shown = _shaped("outputs", outputs, (batch.num_envs, self._output_rows.size))
+        seen = _shaped("observations", observations, (batch.num_envs, batch.n_observation))
         sums: list[Floats] = []
         for interval in range(n * (step + 1) - 1, n * step - 1, -1):
             bars, running, added = self._pull_interval(interval, bars, terms, seen, shown)
@@ -355,12 +355,12 @@ class Tape:
 
         Returns:
             cotangents before it, in blocks like those after it; those of environments that had ended are unchanged;
-            which environments ran in it (n_lanes, 1); and what it adds to cotangents of actions, laws and parameters.
+            which environments ran in it (num_envs, 1); and what it adds to cotangents of actions, laws and parameters.
         """
-        lanes, blocks = self.lanes, self._recording.before(interval).copy()
-        in_blocks = blocks[:, lanes.simulator.layout.lane("active"), np.newaxis] > 0.5
-        running = in_blocks.reshape(-1, 1)[: lanes.n_lanes]
-        in_force, bars = self._moved.in_force(blocks, lanes.n_lanes), np.where(in_blocks, after, 0.0)
+        batch, blocks = self.batch, self._recording.before(interval).copy()
+        in_blocks = blocks[:, batch.simulator.layout.env("active"), np.newaxis] > 0.5
+        running = in_blocks.reshape(-1, 1)[: batch.num_envs]
+        in_force, bars = self._moved.in_force(blocks, batch.num_envs), np.where(in_blocks, after, 0.0)
         for values, rows in ((terms, self._term_rows), (shown, self._output_rows)):
             # Some rows are carried and shown too.
             put_rows(bars, rows, self._rows(rows, bars) + values * running)
@@ -378,11 +378,11 @@ class Tape:
 
         `blocks_bars` and `seen` are those of the blocks and the observations.
         """
-        simulator, network = self.lanes.simulator, self._plant.network
-        actions = np.zeros((self.lanes.n_lanes, self.lanes.n_action))
+        simulator, network = self.batch.simulator, self._plant.network
+        actions = np.zeros((self.batch.num_envs, self.batch.n_action))
         n_constants = network.tables.numbers.size if self.parameters else 0
         constants = np.zeros((len(blocks), n_constants, simulator.width))
-        bars, data, task = Bars(blocks_bars, seen, actions, constants), simulator.data, self.lanes.task_data
+        bars, data, task = Bars(blocks_bars, seen, actions, constants), simulator.data, self.batch.task_data
         taken = self._recording.actions[interval]
         simulator.threads.run(
             lambda first, last, worker: pull(
@@ -393,12 +393,12 @@ class Tape:
 
     def _work(self, worker: int) -> Work:
         if worker not in self._works:
-            simulator = self.lanes.simulator
+            simulator = self.batch.simulator
             self._works[worker] = work_of(self._rules, simulator.layout, self._plant.network, simulator.width)
         return self._works[worker]
 
     def play(self, scenarios: Sequence[Scenario], actions: Floats) -> Played:
-        """Start episodes and step them with given actions (n_steps, n_lanes, n_action)."""
+        """Start episodes and step them with given actions (n_steps, num_envs, n_action)."""
         self.start(scenarios)
         terms, outputs = [], []
         for action in actions:
@@ -411,20 +411,20 @@ class Tape:
 
         Args:
             terms: derivatives of what is differentiated with respect to the terms of each step's cost (n_terms) or
-                (n_steps, n_lanes, n_terms); None for zeros.
-            outputs: with respect to the outputs at each step's end (n_steps, n_lanes, n_outputs); None for zeros. Those
+                (n_steps, num_envs, n_terms); None for zeros.
+            outputs: with respect to those at each step's end (n_steps, num_envs, n_outputs); None for zeros. Those
                 after the end of an episode, where its outputs stay as they were, count nothing.
 
         Returns:
             those with respect to actions, laws and parameters, as :class:`Gradient` has them.
         """
-        n_lanes, n_steps = self.lanes.n_lanes, self.n_steps
+        num_envs, n_steps = self.batch.num_envs, self.n_steps
         self.require_started()
-        shape = (n_steps, n_lanes, len(COST_TERMS))
+        shape = (n_steps, num_envs, len(COST_TERMS))
         seeds = np.broadcast_to(_shaped("terms", terms, shape, shape[2:]), shape)
-        shown = _shaped("outputs", outputs, (n_steps, n_lanes, len(self.output_names)))
-        actions, law = np.empty((n_steps, n_lanes, self.lanes.n_action)), np.zeros((n_lanes, *self._law_rows.shape))
-        parameters, carried = np.zeros((n_lanes, len(self.parameters))), np.zeros((n_lanes, self.n_carried))
+        shown = _shaped("outputs", outputs, (n_steps, num_envs, len(self.output_names)))
+        actions, law = np.empty((n_steps, num_envs, self.batch.n_action)), np.zeros((num_envs, *self._law_rows.shape))
+        parameters, carried = np.zeros((num_envs, len(self.parameters))), np.zeros((num_envs, self.n_carried))
         for step in range(n_steps - 1, -1, -1):
             pulled = self.pull(step, carried, seeds[step], outputs=shown[step])
             carried, actions[step], of_law, of_parameters = pulled
@@ -439,7 +439,7 @@ class Tape:
 
         Args:
             scenarios: one per environment.
-            actions: of as many steps as are to count (n_steps, n_lanes, n_action).
+            actions: of as many steps as are to count (n_steps, num_envs, n_action).
             weights: of the terms of the cost by name, those left out count nothing; None for the cost itself.
 
         Raises:
@@ -448,6 +448,6 @@ class Tape:
         weight = term_weights(weights)
         actions = np.asarray(actions, dtype=np.float64)
         if actions.ndim != 3 or not actions.size:
-            raise ValueError(f"actions must have the shape (n_steps, n_lanes, n_action), got {actions.shape}")
+            raise ValueError(f"actions must have the shape (n_steps, num_envs, n_action), got {actions.shape}")
         terms = self.play(scenarios, actions).terms.sum(axis=0)
         return Gradient(terms, *self.back(weight))

@@ -1,6 +1,6 @@
 """Episodes that PyTorch differentiates: a policy trains by `loss.backward()`.
 
-episodes = TorchEpisodes(EnvSettings(), n_lanes=64)
+episodes = TorchEpisodes(EnvSettings(), num_envs=64)
 observations, cost = episodes.start(scenarios), 0.0
 for _ in range(600):
     observations, terms = episodes.step(policy(observations))
@@ -19,7 +19,7 @@ try:
 except ImportError as error:
     raise ImportError(f"wtg_gym.gradients.torch needs PyTorch; {install_advice('train')}") from error
 
-from wtg_gym.envs.lanes import LanesSnapshot
+from wtg_gym.envs.batch import BatchSnapshot
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.scenario import Scenario
@@ -60,12 +60,12 @@ class TorchEpisodes:
     Parameters of the plant are the tape's alone.
     """
 
-    def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
-        self.tape = Tape(settings, n_lanes, n_threads)
+    def __init__(self, settings: EnvSettings, num_envs: int = 1, n_threads: int | None = None) -> None:
+        self.tape = Tape(settings, num_envs, n_threads)
         self._left: Any = None
         self._law: Any = None
         self._observations: Any = None
-        #: Those of the tape at the end of the latest step (n_lanes, n_outputs), in the order of its `output_names`;
+        #: Those of the tape at the end of the latest step (num_envs, n_outputs), in the order of its `output_names`;
         #: None before the first.
         self.outputs: Any = None
 
@@ -74,7 +74,7 @@ class TorchEpisodes:
 
         Args:
             scenarios: one per environment.
-            law: parameters of the groups' laws to differentiate with respect to (n_wtg, 4) or (n_lanes, n_wtg, 4), in
+            law: parameters of the groups' laws to differentiate with respect to (n_wtg, 4) or (num_envs, n_wtg, 4), in
                 the order of `LAW_PARAMETERS`; None for those of the settings.
         """
         observations = self._begin(self.tape.start(scenarios))
@@ -88,17 +88,17 @@ class TorchEpisodes:
             self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
         return observations
 
-    def resume(self, snapshot: LanesSnapshot) -> Any:
-        """Go on from a snapshot of the tape's lanes, with their laws, as if episodes started there.
+    def resume(self, snapshot: BatchSnapshot) -> Any:
+        """Go on from a snapshot of the tape's environments, with their laws, as if episodes started there.
 
         Returns:
-            its observations (n_lanes, n_observation), floats of 32 bits.
+            its observations (num_envs, n_observation), floats of 32 bits.
         """
         return self._begin(self.tape.resume(snapshot))
 
     def _begin(self, observations: Any) -> Any:
         self._law, self.outputs = torch.from_numpy(self.tape.law()), None
-        self._left = torch.zeros((self.tape.lanes.n_lanes, self.tape.n_carried), dtype=torch.float64)
+        self._left = torch.zeros((self.tape.batch.num_envs, self.tape.n_carried), dtype=torch.float64)
         self._observations = torch.from_numpy(observations)
         return self._observations
 
@@ -110,7 +110,7 @@ class TorchEpisodes:
         gradient what its own steps add. A policy's own memory is to be detached by its owner.
 
         Returns:
-            the latest observations (n_lanes, n_observation), floats of 32 bits, without a history.
+            the latest observations (num_envs, n_observation), floats of 32 bits, without a history.
         """
         self.tape.require_started()
         self._left, self._observations = self._left.detach(), self._observations.detach()
@@ -118,10 +118,10 @@ class TorchEpisodes:
         return self._observations
 
     def step(self, actions: Any) -> tuple[Any, Any]:
-        """Step every running environment with actions (n_lanes, n_action).
+        """Step every running environment with actions (num_envs, n_action).
 
         Returns:
-            observations (n_lanes, n_observation), floats of 32 bits, and terms of the cost (n_lanes, n_terms), of 64.
+            observations (num_envs, n_observation), floats of 32 bits, and terms of the cost (num_envs, n_terms), of 64.
         """
         self.tape.require_started()
         actions = torch.as_tensor(actions)

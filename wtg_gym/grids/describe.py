@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics import equilibrium, linearisation, protection, tracking_law, trajectory
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, get_grid, known_grids
@@ -110,12 +110,12 @@ def describe_starts(suite: str) -> Iterator[Line]:
     A ValueError says that too few of them start to train on.
     """
     # Whether a scenario starts does not depend on what its rewards are compared with, which takes most of a reset.
-    lanes = TaskLanes(EnvSettings(suite=suite, reward="cost"))
-    seeds = range(lanes.suite.seeds("train").start, lanes.suite.seeds("train").start + TRIED)
+    batch = EnvBatch(EnvSettings(suite=suite, reward="cost"))
+    seeds = range(batch.suite.seeds("train").start, batch.suite.seeds("train").start + TRIED)
     reasons, starts = Counter[str](), list[Scenario]()
-    for scenario in lanes.scenarios(seeds):
+    for scenario in batch.scenarios(seeds):
         try:
-            lanes.prepare([scenario])
+            batch.prepare([scenario])
             starts.append(scenario)
         except (equilibrium.StartError, linearisation.StepError) as error:
             reason = re.sub(r"^.*? cannot start: |; `.*", "", str(error))
@@ -128,12 +128,12 @@ def describe_starts(suite: str) -> Iterator[Line]:
     yield "scenarios", f"{n} of {TRIED} start; others are drawn again"
     for reason, times in reasons.most_common(3):
         yield f"{times} do not", reason
-    lanes = TaskLanes(EnvSettings(suite=suite))
-    lanes.start([0], starts[:1])
+    batch = EnvBatch(EnvSettings(suite=suite))
+    batch.start([0], starts[:1])
     begun = time.perf_counter()
-    lanes.start([0], starts[-1:])
+    batch.start([0], starts[-1:])
     began = time.perf_counter()
     for _ in range(steps := 10):
-        lanes.step(np.zeros((1, lanes.n_action)))
+        batch.step(np.zeros((1, batch.n_action)))
     step = (time.perf_counter() - began) / steps
     yield "cost", f"a reset takes {1e3 * (began - begun):.3g} ms, a step {1e3 * step:.3g} ms"

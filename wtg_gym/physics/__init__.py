@@ -6,6 +6,6 @@
 `parameters`, `machine_parameters`, `grid`, `plant`, `scenario`, `tracking_law`, `trajectory`. Machinery: `simulator`,
 `integration`, `layout`, `equilibrium`, `linearisation`.
 
-A run is *prepared*, its equilibrium found while no running lane is touched, and then *started* in a lane. All higher
+A run is *prepared*, its equilibrium found while no running environment is touched, then *started* in one. All higher
 layers use these two verbs.
 """

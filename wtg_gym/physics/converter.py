@@ -87,7 +87,7 @@ def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: fl
 
     Source: paper, equation (37); the linear g of equation (21) has its middle corner on the line.
     """
-    # The spans are the same for all lanes: their reciprocals are computed once, a division would be repeated per lane.
+    # The spans are the same for all environments: reciprocals are computed once, a division would be for each.
     # The middle corner itself belongs to the side below: so has g one slope there too, where a plant rests.
     is_below = speed <= c.frequency_setpoint
     away = select(is_below, c.frequency_setpoint - speed, speed - c.frequency_setpoint)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from wtg_gym.physics import grid, layout, units
-from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal
+from wtg_gym.physics.units import ENV, UNITS, Connection, Joining, Phasor, Sample, Terminal
 from wtg_gym.ranges import did_you_mean, require_known, require_range
 from wtg_gym.systems.systems import Kind, System, is_record, setting, short_names, system
 
@@ -87,7 +87,7 @@ class SourceInput(NamedTuple):
 SOURCES = Kind(
     name="imposed sources",
     rows={"state": SourceState, "inputs": SourceInput},
-    sees={"unit": UNITS, "lane": LANE},
+    sees={"unit": UNITS, "env": ENV},
     states=("state",),
 )
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from wtg_gym.physics import integration, machine_models, machine_parameters
 from wtg_gym.physics import scenario as events
-from wtg_gym.physics.layout import OF_LANE, Floats, LaneData, Layout, Network, NetworkEvent, offsets_of, units_of
+from wtg_gym.physics.layout import OF_ENV, BatchData, Floats, Layout, Network, NetworkEvent, offsets_of, units_of
 from wtg_gym.physics.machine import gate_limits
 from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow, solve_sparse_flow
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.units import BUSES, LANE, StartFailure
+from wtg_gym.physics.units import BUSES, ENV, StartFailure
 from wtg_gym.ranges import whole_steps
 from wtg_gym.systems.compiled import allocating, compiled
 from wtg_gym.systems.programs import NONE, Complex, Whole
@@ -49,23 +49,23 @@ def check_internal_voltages(rows: Floats, scenarios: Sequence[Scenario], setting
     limit = settings.protection.internal_voltage_max_pu
     if (voltages <= limit).all():
         return
-    lane, unit = np.argwhere(~(voltages <= limit))[0]
+    env, unit = np.argwhere(~(voltages <= limit))[0]
     bus = settings.case.buses[settings.case.bus_index(settings.unit_buses[unit])]
     task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
     raise StartError(
-        f"{scenario_name(scenarios[lane])} cannot start: {unit_name(settings, int(unit))} needs an internal voltage of "
-        f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
+        f"{scenario_name(scenarios[env])} cannot start: {unit_name(settings, int(unit))} needs an internal voltage of "
+        f"{voltages[env, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
     )
 
 
 def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: Plant, layout: Layout) -> None:
     """Refuse a start with a rotor below the under-speed trip."""
     speeds, least = rows[:, layout.wtg("rotor_speed")], settings.protection.rotor_speed_min_pu
-    for lane, group in np.argwhere(speeds < least):
-        scenario = scenarios[lane]
+    for env, group in np.argwhere(speeds < least):
+        scenario = scenarios[env]
         raise StartError(
             f"scenario {scenario.name!r} cannot start: the rotor of {unit_name(settings, layout.n_sync + group)} would "
-            f"start at {speeds[lane, group]:.3g} p.u. in a wind of {scenario.wind_speed[group, 0]:.3g} m/s, below the "
+            f"start at {speeds[env, group]:.3g} p.u. in a wind of {scenario.wind_speed[group, 0]:.3g} m/s, below the "
             f"under-speed trip at {least:g} p.u."
         )
 
@@ -128,7 +128,7 @@ def _limited(
 
 
 #: Rows in scratch of an environment that starts and of its buses, and these as columns of the power flow.
-_OF_START, _OF_BUS = offsets_of(LANE, scratch=True), offsets_of(BUSES, scratch=True)
+_OF_START, _OF_BUS = offsets_of(ENV, scratch=True), offsets_of(BUSES, scratch=True)
 FLOW_COLUMNS = PowerFlow(
     power=_OF_BUS.planned,
     polar=_OF_BUS.polar,
@@ -154,9 +154,9 @@ _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> float:
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
     facts, tables, scratch = network.facts, network.tables, arrays[1]
-    lane = units_of(scratch, facts.starting)[0]
+    env = units_of(scratch, facts.starting)[0]
     integration.plan(arrays, tables, NONE)
-    released = lane[_OF_START.failure, 0] == 0.0
+    released = env[_OF_START.failure, 0] == 0.0
     balances = facts.n_balances
     while released:
         if facts.is_large:
@@ -164,7 +164,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network
         else:
             steps = _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS))
         if steps < 0:
-            lane[_OF_START.failure, 0] = _DIVERGED
+            env[_OF_START.failure, 0] = _DIVERGED
             break
         if balances:
             integration.balance(arrays, tables, NONE)
@@ -172,8 +172,8 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network
             continue
         # Each time at least one bus lets go, and no bus does twice.
         integration.release(arrays, tables, NONE)
-        released = lane[_OF_START.released, 0] > 0.0
-    if lane[_OF_START.failure, 0] != 0.0:
+        released = env[_OF_START.released, 0] > 0.0
+    if env[_OF_START.failure, 0] != 0.0:
         return math.nan
     return float(buses[facts.slack, _OF_BUS.flow] - buses[facts.slack, _OF_BUS.planned])
 
@@ -181,56 +181,56 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network
 @allocating
 def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
-    lane = units_of(arrays[1], network.facts.starting)[0]
+    env = units_of(arrays[1], network.facts.starting)[0]
     at, failure = _OF_START.curtailment, _OF_START.failure
     low, high = _LEAST_CURTAILMENT, 1.0
     # Far from the balance no power flow exists: the sum of all powers without losses comes close.
-    while high - low > _CLOSE and lane[failure, 0] == 0.0:
-        lane[at, 0] = 0.5 * (low + high)
+    while high - low > _CLOSE and env[failure, 0] == 0.0:
+        env[at, 0] = 0.5 * (low + high)
         integration.plan(arrays, network.tables, NONE)
-        if lane[_OF_START.needed, 0] > 0.0:
-            low = lane[at, 0]
+        if env[_OF_START.needed, 0] > 0.0:
+            low = env[at, 0]
         else:
-            high = lane[at, 0]
+            high = env[at, 0]
     low, high = max(low - _CLOSE, _LEAST_CURTAILMENT), min(high + _LOSSES, 1.0)
-    lane[at, 0] = high
+    env[at, 0] = high
     lacking = _plan_flow(arrays, buses, y, network)
-    if lane[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
-        lane[failure, 0] = _SHORTAGE
+    if env[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
+        env[failure, 0] = _SHORTAGE
     # The more the groups give, the less reactive power they have: without a power flow there is too much.
-    while lane[failure, 0] in (0.0, _DIVERGED) and not abs(lacking) <= POWER_FLOW_TOLERANCE:
+    while env[failure, 0] in (0.0, _DIVERGED) and not abs(lacking) <= POWER_FLOW_TOLERANCE:
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        lane[at, 0], lane[failure, 0] = middle, 0.0
+        env[at, 0], env[failure, 0] = middle, 0.0
         lacking = _plan_flow(arrays, buses, y, network)
         if lacking > 0.0:
             low = middle
         else:
             high = middle
-    if lane[failure, 0] == 0.0 and not abs(lacking) <= _BALANCED:
-        lane[failure, 0] = _DIVERGED
+    if env[failure, 0] == 0.0 and not abs(lacking) <= _BALANCED:
+        env[failure, 0] = _DIVERGED
 
 
 @compiled
-def prepare_lanes(
-    rows: Floats, scratch: Floats, y: Complex, network: Network, data: LaneData, load_levels: Floats, failures: Whole
+def prepare_envs(
+    rows: Floats, scratch: Floats, y: Complex, network: Network, data: BatchData, load_levels: Floats, failures: Whole
 ) -> None:
-    """Put lanes into the equilibrium of their wind, law and load, at nominal frequency.
+    """Put environments into the equilibrium of their wind, law and load, at nominal frequency.
 
     In their rows (n, n_rows, 1) laws, first wind, bus of the load noise, the machines' inv_two_h and inv_droop are set;
     the scratch is (n_scratch, 1). `y` is the bus admittance matrix without loads and units (n_bus, n_bus) [p.u.], load
     levels are shares of the nominal load (n,). Load events of `data` are given as P + jQ [p.u.], and turned into
-    admittances here. `failures` takes why a lane cannot start, and the number of the unit that cannot, machines first
+    admittances here. `failures` takes why one cannot start, and the number of the unit that cannot, machines first
     (n, 2).
     """
     facts, tables = network.facts, network.tables
     starting, planning = units_of(scratch, facts.starting)[0], facts.planning
     end = planning.first + planning.n_units * planning.n_rows
     buses = scratch[planning.first : end].reshape(planning.n_units, planning.n_rows)
-    for lane in range(rows.shape[0]):
-        block, arrays = rows[lane], (rows[lane], scratch)
-        starting[_OF_START.load_level, 0] = load_levels[lane]
+    for env in range(rows.shape[0]):
+        block, arrays = rows[env], (rows[env], scratch)
+        starting[_OF_START.load_level, 0] = load_levels[env]
         starting[_OF_START.curtailment, 0] = 1.0
         if facts.curtails:
             _curtail(arrays, buses, y, network)
@@ -238,22 +238,22 @@ def prepare_lanes(
             _plan_flow(arrays, buses, y, network)
         if starting[_OF_START.failure, 0] == 0.0:
             integration.settle(arrays, tables, NONE)
-            run = units_of(block, facts.lane)[0]
-            voltage = buses[int(run[OF_LANE.noise_bus, 0]), _OF_BUS.polar]
-            run[OF_LANE.noise_per_mw, 0] = 1.0 / (facts.base_mva * voltage * voltage)
-            events = data.events[lane]
+            run = units_of(block, facts.env)[0]
+            voltage = buses[int(run[OF_ENV.noise_bus, 0]), _OF_BUS.polar]
+            run[OF_ENV.noise_per_mw, 0] = 1.0 / (facts.base_mva * voltage * voltage)
+            events = data.events[env]
             for e in range(events.shape[0]):
                 if events[e].bus >= 0:
                     voltage = buses[events[e].bus, _OF_BUS.polar]
                     events[e].active /= voltage * voltage
                     events[e].reactive /= -(voltage * voltage)
-            integration.refresh(tables, (block, 0, lane, network, data))
+            integration.refresh(tables, (block, 0, env, network, data))
             integration.combine_load_noise(arrays, tables, NONE)
             integration.find(arrays, tables, NONE)
             integration.find_rates(arrays, tables, NONE)
             integration.start(arrays, tables, NONE)
-        failures[lane, 0] = int(starting[_OF_START.failure, 0])
-        failures[lane, 1] = int(starting[_OF_START.failure + 1, 0])
+        failures[env, 0] = int(starting[_OF_START.failure, 0])
+        failures[env, 1] = int(starting[_OF_START.failure + 1, 0])
 
 
 def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from wtg_gym.physics import step as systems
-from wtg_gym.physics.layout import OF_LANE, Facts, Floats, LaneData, Network, place_of, units_of
+from wtg_gym.physics.layout import OF_ENV, BatchData, Facts, Floats, Network, place_of, units_of
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS
@@ -45,30 +45,30 @@ _WIND_START, _WIND_END = place_of(GROUPS, "wind_start"), place_of(GROUPS, "wind_
 
 
 @allocating
-def _enter_interval(block: Floats, first_lane: int, network: Network, data: LaneData) -> None:
+def _enter_interval(block: Floats, first_env: int, network: Network, data: BatchData) -> None:
     """Read wind and load noise of the control interval that begins, for every environment of a block."""
     facts = network.facts
-    lane, groups = units_of(block, facts.lane)[0], units_of(block, facts.groups)
+    env, groups = units_of(block, facts.env)[0], units_of(block, facts.groups)
     last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
     for x in range(block.shape[1]):
-        index = int(lane[OF_LANE.step, x]) // facts.n_substeps
+        index = int(env[OF_ENV.step, x]) // facts.n_substeps
         begin, end = index if index < last else last, index + 1 if index < last else last
         for j in range(data.wind.shape[1]):
-            groups[j, _WIND_START, x] = data.wind[first_lane + x, j, begin]
-            groups[j, _WIND_END, x] = data.wind[first_lane + x, j, end]
-        noise = data.noise[first_lane + x, index if index < last_noise else last_noise]
-        lane[OF_LANE.noise_y, x] = noise * lane[OF_LANE.noise_per_mw, x]
+            groups[j, _WIND_START, x] = data.wind[first_env + x, j, begin]
+            groups[j, _WIND_END, x] = data.wind[first_env + x, j, end]
+        noise = data.noise[first_env + x, index if index < last_noise else last_noise]
+        env[OF_ENV.noise_y, x] = noise * env[OF_ENV.noise_per_mw, x]
 
 
 @internal
 def strike(
-    block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any, step: int
+    block: Floats, scratch: Floats, first_env: int, network: Network, data: BatchData, tape: Any, step: int
 ) -> None:
     """Let the events that are due at the present step change the networks of a block."""
-    lane, changed = network.facts.lane.first, False
+    env, changed = network.facts.env.first, False
     for x in range(block.shape[1]):
-        if block[lane + OF_LANE.step, x] >= block[lane + OF_LANE.next_change, x]:
-            refresh(network.tables, (block, x, first_lane + x, network, data))
+        if block[env + OF_ENV.step, x] >= block[env + OF_ENV.next_change, x]:
+            refresh(network.tables, (block, x, first_env + x, network, data))
             changed = True
     if changed:
         # For the whole block: an environment without a change gets the same bits again.
@@ -120,7 +120,7 @@ def interval_of(
     move: Callable[..., None],
     finish: Callable[..., None],
     find_rates: Callable[..., None],
-) -> Callable[[Floats, Floats, int, Network, LaneData, Any], None]:
+) -> Callable[[Floats, Floats, int, Network, BatchData, Any], None]:
     """Return a function that advances every running environment of a block by one control interval.
 
     This alone knows the order within an interval; the parts do each thing plainly, or record it on a tape as well. The
@@ -130,20 +130,20 @@ def interval_of(
     the scratch the rates.
 
     Args:
-        strike: lets events strike: (block, scratch, first_lane, network, data, tape, step).
+        strike: lets events strike: (block, scratch, first_env, network, data, tape, step).
         find, move: evaluation and motion of a stage: (block, scratch, network, tape, step, stage).
         finish, find_rates: of a step, and at the interval's end: (block, scratch, network, tape, step).
     """
 
     @internal
-    def advance(block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any) -> None:
+    def advance(block: Floats, scratch: Floats, first_env: int, network: Network, data: BatchData, tape: Any) -> None:
         n_substeps = network.facts.n_substeps
         # Protections sample the grid after so many simulation steps, and at the interval's end.
         between = max(1, int(PROTECTION_INTERVAL_S / network.facts.simulation_dt + 1e-6))
-        _enter_interval(block, first_lane, network, data)
+        _enter_interval(block, first_env, network, data)
         combine_load_noise((block, scratch), network.tables, NONE)
         for step in range(n_substeps):
-            strike(block, scratch, first_lane, network, data, tape, step)
+            strike(block, scratch, first_env, network, data, tape, step)
             for stage in range(N_STAGES):
                 find(block, scratch, network, tape, step, stage)
                 move(block, scratch, network, tape, step, stage)
@@ -161,7 +161,7 @@ advance_interval = interval_of(strike, _find, _move, _finish, _find_rates)
 
 
 @compiled
-def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, network: Network, data: LaneData) -> None:
+def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, network: Network, data: BatchData) -> None:
     """Advance the blocks first … last - 1 of `blocks` (n_blocks, n_rows, width) by one control interval.
 
     `scratch` (n_scratch, width) is the caller's thread's own.

@@ -1,9 +1,8 @@
 """Where every number of a simulation lies.
 
-A block holds what `width` environments keep, as rows (n_rows, width): each row has one number per environment, in its
-"lane", a column of the block.
-The rows of a unit are neighbours, and so are the units of a kind, kind after kind. Values that last for one
-control step only have such rows in a scratch, which a thread shares between its blocks.
+A block holds what `width` environments keep, as rows (n_rows, width), with a column per environment. The rows of a unit
+are neighbours, and so are the units of a kind, kind after kind. Values that last for one control step only have such
+rows in a scratch, which a thread shares between its blocks.
 """
 
 import itertools
@@ -18,7 +17,7 @@ import numpy.typing as npt
 from wtg_gym.physics.machine_models import HYDRO
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import Pattern
-from wtg_gym.physics.units import LANE, UNITS
+from wtg_gym.physics.units import ENV, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.compiled import allocating
@@ -87,7 +86,7 @@ class Layout:
     Args:
         n_units: how many units of each kind there are, in the order of their rows.
         links: index of the unit that each unit of a kind sees, (n_units,), by kind and label; where it is left out, the
-            lane, or the unit with the same number.
+            environment, or the unit with the same number.
     """
 
     def __init__(self, n_units: Mapping[Kind, int], links: Mapping[tuple[Kind, str], Whole]) -> None:
@@ -141,9 +140,9 @@ class Layout:
         """Return the row of a number of each unit of a kind (n_units,)."""
         return _every(self.first[kind] + place_of(kind, name), n_rows_of(kind.rows), self.counts[kind])
 
-    def lane(self, name: str) -> int:
+    def env(self, name: str) -> int:
         """Return the row of an environment's number of this name."""
-        return int(self._named(name, "run", (LANE,))[0])
+        return int(self._named(name, "run", (ENV,))[0])
 
     def _named(self, name: str, what: str, kinds: Sequence[Kind]) -> Whole:
         if (name, what) not in self._cached_rows:
@@ -176,7 +175,7 @@ class Layout:
     def state_names(self) -> tuple[str, ...]:
         """Names of the state vector's entries."""
         names: list[str] = []
-        short = {MACHINES: "sync", GROUPS: "wtg", EXTENSIONS: "wtg", HYDRO: "hydro", LANE: "lane"}
+        short = {MACHINES: "sync", GROUPS: "wtg", EXTENSIONS: "wtg", HYDRO: "hydro", ENV: "env"}
         for kind, n in self.counts.items():
             for state in kind.states:
                 record = kind.rows[state]
@@ -185,14 +184,14 @@ class Layout:
         return tuple(names)
 
 
-def rows_of_lanes(blocks: Floats, rows: Whole, n_lanes: int) -> Floats:
-    """Return rows of every environment (n_lanes, …) of blocks (n_blocks, n_rows, width)."""
+def rows_of_envs(blocks: Floats, rows: Whole, num_envs: int) -> Floats:
+    """Return rows of every environment (num_envs, …) of blocks (n_blocks, n_rows, width)."""
     selected = blocks[:, rows.ravel(), :].transpose(0, 2, 1)
-    return selected.reshape(len(blocks) * blocks.shape[2], *rows.shape)[:n_lanes]
+    return selected.reshape(len(blocks) * blocks.shape[2], *rows.shape)[:num_envs]
 
 
 def put_rows(blocks: Floats, rows: Whole, values: Floats) -> None:
-    """Write rows of every environment, as :func:`rows_of_lanes` returns them."""
+    """Write rows of every environment, as :func:`rows_of_envs` returns them."""
     block, column = np.divmod(np.arange(len(values))[:, np.newaxis], blocks.shape[2])
     blocks[block, rows.ravel(), column] = values.reshape(len(values), -1)
 
@@ -204,7 +203,7 @@ def _every(first: int, stride: int, n: int) -> Whole:
     return rows
 
 
-OF_LANE = offsets_of(LANE)
+OF_ENV = offsets_of(ENV)
 
 
 class Facts(NamedTuple):
@@ -220,7 +219,7 @@ class Facts(NamedTuple):
     shifts_phases: bool  # whether a branch does, so that the admittance matrix is not symmetric
     shares_frequency: float  # change of a load's conductance with the frequency [p.u./p.u.]
     # In a block:
-    lane: Span = Span()
+    env: Span = Span()
     machines: Span = Span()
     groups: Span = Span()
     units: Span = Span()
@@ -231,7 +230,7 @@ class Facts(NamedTuple):
     transfers: Span = Span()
     sources: Span = Span()
     # In scratch:
-    starting: Span = Span()  # of the lane
+    starting: Span = Span()  # of the environment
     planning: Span = Span()  # of the buses
 
 
@@ -276,9 +275,9 @@ class NetworkEvent(NamedTuple):
 NO_EVENT = structured(NetworkEvent, [NetworkEvent(np.inf, np.inf)])
 
 
-class LaneData(NamedTuple):
+class BatchData(NamedTuple):
     """Series and events of each environment, constant while it runs."""
 
-    wind: Floats  # at the ends of control intervals (n_lanes, n_wtg, n_intervals + 1) [m/s]
-    noise: Floats  # load noise per control interval (n_lanes, n_intervals) [MW]
-    events: npt.NDArray[Any]  # (n_lanes, n_events), of NetworkEvent
+    wind: Floats  # at the ends of control intervals (num_envs, n_wtg, n_intervals + 1) [m/s]
+    noise: Floats  # load noise per control interval (num_envs, n_intervals) [MW]
+    events: npt.NDArray[Any]  # (num_envs, n_events), of NetworkEvent

@@ -29,7 +29,7 @@ class StepError(ValueError):
 
 
 def state_matrix(rows: Floats, plant: PlantTables, layout: Layout, side: npt.ArrayLike) -> Floats:
-    """Return A of ẋ = A x around the state that one lane's rows (n_rows,) hold, shape (n, n) [1/s, with p.u. and rad].
+    """Return A of ẋ = A x around the state in one environment's rows (n_rows,), shape (n, n) [1/s, with p.u. and rad].
 
     Central differences of the simulator's right-hand side; one-sided ones of the same order for the frequencies of the
     WTGs, where g(ω) has a corner: `side` is -1 for the slope below ω_st, +1 for the one above, for all groups or each,
@@ -116,7 +116,7 @@ def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
 
 
 def check_step(rows: Floats, plant: PlantTables, layout: Layout) -> None:
-    """Refuse a plant whose modes are too fast for its integration step at the state of one lane's rows (n_rows,).
+    """Refuse a plant with modes too fast for its integration step at the state of one environment's rows (n_rows,).
 
     Of the two slopes of each law's g(ω), the steeper is checked, that with which power rises more as the frequency
     falls: its modes are faster. Only small deviations are checked. Limits are left out, except the power and reactive

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, gate_limits, terminal_voltage
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import LANE, UNITS, ControlJoining, Failure, Phasor, StartFailure, moving, noted
+from wtg_gym.physics.units import ENV, UNITS, ControlJoining, Failure, Phasor, StartFailure, moving, noted
 from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.systems.systems import Kind, System, count, each, system
 
@@ -91,7 +91,7 @@ def _kind(control: str, constants: Constants, state: type, **rows: Any) -> Kind:
         name=f"{control} {constants.parameters[-1].MODEL}",
         rows={"control": state, **rows},
         constants={"model": constants.record},
-        sees={"machine": MACHINES, "unit": UNITS, "lane": LANE},
+        sees={"machine": MACHINES, "unit": UNITS, "env": ENV},
         states=("control",),
     )
 
@@ -114,11 +114,11 @@ def _control(
     if start_limits is not None:
         failure, limited, limits_of = start_limits
 
-        @system(kind, "lane_failure")
-        def check_control(control: Any, model: Any, lane_failure: Failure) -> Failure:
+        @system(kind, "env_failure")
+        def check_control(control: Any, model: Any, env_failure: Failure) -> Failure:
             low, high = limits_of(model)
             value = getattr(control, limited)
-            return noted((low <= value) & (value <= high), failure, model.machine, lane_failure)
+            return noted((low <= value) & (value <= high), failure, model.machine, env_failure)
 
         systems[ControlJoining.START] = (check_control,)
     return Control(kind, constants, systems, start_limits)

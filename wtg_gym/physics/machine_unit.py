@@ -5,7 +5,7 @@ import math
 from wtg_gym.physics import machine as equations
 from wtg_gym.physics import units
 from wtg_gym.physics.machine import Machine, MachineInput, MachineState, MachineVoltage, Saturating
-from wtg_gym.physics.units import LANE, Connection, Failure, Phasor
+from wtg_gym.physics.units import ENV, Connection, Failure, Phasor
 from wtg_gym.systems.elementary import clip, select, sine_cosine
 from wtg_gym.systems.systems import Kind, each, system
 
@@ -17,11 +17,11 @@ MACHINES = Kind(
         "iron": Saturating,  # zero where no machine saturates
     },
     constants={"machine": Machine, "dispatch": float, "saturation": equations.RotorSaturation},
-    sees={"unit": units.UNITS, "island": units.ISLANDS, "lane": LANE},
+    sees={"unit": units.UNITS, "island": units.ISLANDS, "env": ENV},
     states=("state",),
 )
 #: The first machine: its speed turns the frame of all angles, after an outage too.
-FIRST_MACHINE = Kind(name="first machine", sees={"machine": MACHINES, "lane": LANE})
+FIRST_MACHINE = Kind(name="first machine", sees={"machine": MACHINES, "env": ENV})
 
 
 @system(FIRST_MACHINE, "reference_speed")

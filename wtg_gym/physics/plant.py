@@ -21,7 +21,7 @@ from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machi
 from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.protection import STAGES, Shedding
-from wtg_gym.physics.units import BUSES, ISLANDS, LANE, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
+from wtg_gym.physics.units import BUSES, ENV, ISLANDS, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
 from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
 from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
 from wtg_gym.systems.programs import Complex, Floats, Program, Tables, Whole, build_table
@@ -221,7 +221,7 @@ class PlantTables(NamedTuple):
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
     shedding: npt.NDArray[np.void]  # (n_stages,), of Shedding
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
-    of_lane: Mapping[str, Any]  # constants of every environment
+    of_env: Mapping[str, Any]  # constants of every environment
     devices: tuple[Devices, ...]
 
     @property
@@ -271,7 +271,7 @@ def plant_tables(settings: Plant) -> PlantTables:
         extension=structured(wind_turbine.Extension, extensions * settings.extended),
         shedding=structured(Shedding, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, _buses_of(case, network.unit_bus)),
-        of_lane={
+        of_env={
             "omega_n": 2.0 * math.pi * case.frequency_hz,
             "base_mva": base,
             "shedding_speed": max([stage.speed for stage in stages], default=0.0),
@@ -371,7 +371,7 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
         machine_unit.MACHINES: n_sync,
         GROUPS: n_wtg,
         EXTENSIONS: limited.size,
-        LANE: 1,
+        ENV: 1,
         BUSES: n_bus,
         UNITS: n,
         ISLANDS: n_islands,
@@ -460,7 +460,7 @@ class PlantMap:
             "no machine": not plant.machines.size,
             "sheds": plant.shedding.size > 0,
             "saturates": any(rotor.curve.gain > 0.0 for rotor in plant.saturation),
-            "secondary control": plant.of_lane["secondary_gain"] > 0.0,
+            "secondary control": plant.of_env["secondary_gain"] > 0.0,
         }
         added = [*task.has, *(condition for device in plant.devices for condition in device.has)]
         require_known("conditions", added, [condition for kind in layout.counts for condition in kind.conditions])
@@ -488,7 +488,7 @@ class PlantMap:
             (BUSES, "bus"): plant.buses,
             (UNITS, "connection"): connections,
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
-            **{(LANE, name): [value] for name, value in plant.of_lane.items()},
+            **{(ENV, name): [value] for name, value in plant.of_env.items()},
             **{(machine_models.CONTROLS[name].kind, "model"): values for name, values in plant.controls.items()},
             **{(device.kind, name): values for device in plant.devices for name, values in device.constants.items()},
             **task.constants,
@@ -509,12 +509,12 @@ def with_places(
     taped: Sequence[Program] = (),
 ) -> PlantTables:
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
-    kinds = dict(lane=LANE, machines=machine_unit.MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, buses=BUSES)
+    kinds = dict(env=ENV, machines=machine_unit.MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, buses=BUSES)
     kinds |= dict(islands=ISLANDS, transfers=TRANSFERS, sources=SOURCES)
     spans: dict[str, Any] = {name: layout.span(kind) for name, kind in kinds.items()}
     n_islands = layout.n_units(ISLANDS)
     spans["stages"] = Span(layout.span(STAGES).first, n_islands, layout.n_units(STAGES) // n_islands)
-    spans["starting"], spans["planning"] = layout.span(LANE, scratch=True), layout.span(BUSES, scratch=True)
+    spans["starting"], spans["planning"] = layout.span(ENV, scratch=True), layout.span(BUSES, scratch=True)
     connected = [layout.machine("connected"), layout.wtg("connected")]
     connected += [layout.rows_of(device.kind, "connected") for device in plant.devices]
     angles = [layout.machine("angle"), layout.wtg("angle")]

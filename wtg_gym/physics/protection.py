@@ -16,7 +16,7 @@ from typing import NamedTuple
 from wtg_gym.physics import units, wind_turbine
 from wtg_gym.physics.machine import MachineInput, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Phasor, Sample, Spread, Sums, Verdict, plus
+from wtg_gym.physics.units import BUSES, ENV, ISLANDS, UNITS, Phasor, Sample, Spread, Sums, Verdict, plus
 from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import exponential, fma, select
@@ -63,7 +63,7 @@ def add_noise_voltage(transfer_back: Phasor, voltage: Phasor, noise_voltage: Pha
     return plus(noise_voltage, transfer_back, voltage)
 
 
-@system(LANE, "noise_voltage", when="extended")
+@system(ENV, "noise_voltage", when="extended")
 def noise_current(noise_voltage: Phasor, noise_factor: Phasor) -> Phasor:
     """Return the current of the load noise [p.u.]: that voltage times its admittance."""
     return plus(Phasor(0.0, 0.0), noise_voltage, noise_factor)
@@ -77,7 +77,7 @@ def with_noise(present_voltage: Phasor, noise_voltage: Phasor, noise_transfer: P
 
 #: Voltages of all buses, from those of all units.
 BUS_VOLTAGES = (
-    setting(LANE, "extended", noise_voltage=Phasor(0.0, 0.0)),
+    setting(ENV, "extended", noise_voltage=Phasor(0.0, 0.0)),
     add_noise_voltage,
     noise_current,
     Product(units.TRANSFERS, "share", UNITS, "voltage", "present_voltage", of=BUSES),
@@ -85,7 +85,7 @@ BUS_VOLTAGES = (
 )
 
 
-@system(LANE, "lowest", "highest", "sampled", when="extended")
+@system(ENV, "lowest", "highest", "sampled", when="extended")
 def reset_frequency_sample(
     angle: float, sampled_angle: float, step: float, sampled_step: float, omega_n: float, simulation_dt: float
 ) -> tuple[float, float, units.Sampled]:
@@ -129,7 +129,7 @@ def sample_unit(omega: float, weight: float, lowest: float, highest: float) -> t
     return min(lowest, select(counts, omega, lowest)), max(highest, select(counts, omega, highest))
 
 
-@system(LANE, "worst", "worst_min", "worst_max", "sampled_angle", "sampled_step", when="extended")
+@system(ENV, "worst", "worst_min", "worst_max", "sampled_angle", "sampled_step", when="extended")
 def note_worst(
     lowest: float,
     highest: float,
@@ -165,7 +165,7 @@ PROTECTION_INTERVAL_S = 0.1
 
 
 class Status(IntEnum):
-    """Why a lane has ended; a stall, an over-speed or an under-speed is the failure of a rotor."""
+    """Why an environment has ended; a stall, an over-speed or an under-speed is the failure of a rotor."""
 
     RUNNING = 0
     STALL = 1
@@ -191,7 +191,7 @@ STAGES = Kind(
     name="shedding stages",
     rows={"shed": float},
     constants={"stage": Shedding},
-    sees={"island": ISLANDS, "lane": LANE},
+    sees={"island": ISLANDS, "env": ENV},
 )
 
 
@@ -261,7 +261,7 @@ def track_extremes(
     )
 
 
-@system(LANE, "alarm", "was_low")
+@system(ENV, "alarm", "was_low")
 def reset_alarm(was_low: float) -> tuple[float, float]:
     """Check the stages of shedding once more after a low frequency."""
     return was_low, 0.0
@@ -286,7 +286,7 @@ def shed_load(
     return select(waits, select(acts, -1.0 - step, count), shed), select(acts, step, next_change)
 
 
-@system(LANE, "shed_energy", when="extended")
+@system(ENV, "shed_energy", when="extended")
 def count_shed_energy(shed_energy: float, unserved: float, active: float, simulation_dt: float) -> float:
     return shed_energy + select(active > 0.5, unserved * simulation_dt, 0.0)
 
@@ -413,7 +413,7 @@ def judge_rotor(
     return select(trips, 0.0, inputs.connected), verdict, *changes
 
 
-@system(LANE, "status", "active", "stops")
+@system(ENV, "status", "active", "stops")
 def end_run(status: float, active: float, verdict: Verdict) -> tuple[float, float, float]:
     """End a run that has failed."""
     violation = select(verdict.finite > 0.5, verdict.code, float(Status.NUMERICAL_FAILURE))

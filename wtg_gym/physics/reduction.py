@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from wtg_gym.physics.devices import SOURCES
-from wtg_gym.physics.layout import OF_LANE, Facts, Floats, LaneData, Network, Whole, offsets_of, place_of, units_of
+from wtg_gym.physics.layout import OF_ENV, BatchData, Facts, Floats, Network, Whole, offsets_of, place_of, units_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
 from wtg_gym.physics.units import BUSES, ISLANDS, UNITS
@@ -24,7 +24,7 @@ class _Rows(NamedTuple):
     """Views of one environment's rows in a block: all of them, and those of each unit (n_units, n_rows)."""
 
     all: Floats  # (n_rows,)
-    lane: Floats  # (n_rows,)
+    env: Floats  # (n_rows,)
     machines: Floats
     units: Floats
     pairs: Floats
@@ -39,7 +39,7 @@ class _Rows(NamedTuple):
 def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
     return _Rows(
         block[:, x],
-        units_of(block, facts.lane)[0, :, x],
+        units_of(block, facts.env)[0, :, x],
         units_of(block, facts.machines)[:, :, x],
         units_of(block, facts.units)[:, :, x],
         units_of(block, facts.pairs)[:, :, x],
@@ -57,15 +57,15 @@ def _write(rows: Floats, at: int, value: complex) -> None:
 
 
 @addressed
-def refresh_network(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
+def refresh_network(block: Floats, x: int, env: int, network: Network, data: BatchData) -> None:
     """Kron-reduce the network of one environment as it is from its present step on, and note when it changes next.
 
     Units and governors that events take away are switched off, and sources are moved. Load ramps are staircases:
     constant over a control interval at the value of its middle. So is the conductance of loads that depend on the
     frequency, at that of its beginning.
     """
-    facts, events, rows = network.facts, data.events[lane], _rows_of(block, x, network.facts)
-    step = rows.lane[OF_LANE.step]
+    facts, events, rows = network.facts, data.events[env], _rows_of(block, x, network.facts)
+    step = rows.env[OF_ENV.step]
     following, opens_lines = math.inf, False
     for e in range(events.shape[0]):
         opens_lines |= events[e].branch >= 0
@@ -73,9 +73,9 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
         _strike(events[e], step, rows, network)
     if facts.shares_frequency > 0.0:
         following = min(following, _next_interval(step, facts))
-    rows.lane[OF_LANE.last_change], rows.lane[OF_LANE.next_change] = step, following
+    rows.env[OF_ENV.last_change], rows.env[OF_ENV.next_change] = step, following
     if facts.islands.n_units > 1 and opens_lines:
-        _islands(network.tables, (block, x, lane, network, data))
+        _islands(network.tables, (block, x, env, network, data))
     _shed(rows, network, events)
     _reduce(rows, network, events)
 
@@ -92,7 +92,7 @@ def _reduce(rows: _Rows, network: Network, events: Any) -> None:
 @internal
 def _write_reduced(z: Complex, unit_y: Complex, filled: Whole, rows: _Rows, network: Network) -> None:
     """Write Y_red = diag(y) - diag(y) Z diag(y), transfers to and from the noise bus, impedances there."""
-    noise_bus = int(rows.lane[OF_LANE.noise_bus])
+    noise_bus = int(rows.env[OF_ENV.noise_bus])
     n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
     for k in range(n_bus):
         for i in range(n):
@@ -113,7 +113,7 @@ def _write_reduced(z: Complex, unit_y: Complex, filled: Whole, rows: _Rows, netw
             back = unit_y[i] * z[noise_bus, n_bus + i]
         _write(rows.units[i], _OF_UNIT.transfer, there)
         _write(rows.units[i], _OF_UNIT.transfer_back, back)
-    _write(rows.lane, OF_LANE.noise_z, z[noise_bus, n_bus + n])
+    _write(rows.env, OF_ENV.noise_z, z[noise_bus, n_bus + n])
     # What every unit's voltage brings to every bus, and what the load noise takes there.
     for k in range(n_bus):
         _write(rows.buses[k], _OF_BUS.noise_transfer, z[k, n_bus + n])
@@ -177,17 +177,17 @@ def _copy(source: Floats, row: int, target: Floats, to_row: int) -> None:
 
 
 @addressed
-def find_islands(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
+def find_islands(block: Floats, x: int, env: int, network: Network, data: BatchData) -> None:
     """Number the parts of the network that hang together and have a unit: by the load of the start, the most first.
 
     What protections remember of an island goes with most of its load, when it falls apart and when parts join. Units of
     a part that joins another are counted from the same turn.
     """
     rows = _rows_of(block, x, network.facts)
-    part = _parts_of(rows.lane[OF_LANE.step], network, data.events[lane])
+    part = _parts_of(rows.env[OF_ENV.step], network, data.events[env])
     number = _numbers_of(part, rows, network)
     islands, stages = _copy_of(rows.islands), _copy_of(rows.stages)
-    rows.lane[OF_LANE.split] = 0.0
+    rows.env[OF_ENV.split] = 0.0
     for p in range(number.shape[0]):
         if number[p] >= 0:
             before = _island_before(part, p, rows)
@@ -195,7 +195,7 @@ def find_islands(block: Floats, x: int, lane: int, network: Network, data: LaneD
             _copy(stages, before, rows.stages, number[p])
             _turn_units(part, p, islands[:, _OF_ISLAND.turned], before, rows, network)
             if number[p] > 0:
-                rows.lane[OF_LANE.split] = 1.0
+                rows.env[OF_ENV.split] = 1.0
     for k in range(part.shape[0]):
         rows.buses[k, _OF_BUS.island] = number[part[k]]
     for i in range(network.unit_bus.shape[0]):
@@ -277,7 +277,7 @@ def _turn_units(part: Whole, p: int, turned: Floats, before: int, rows: _Rows, n
 @internal
 def _shed(rows: _Rows, network: Network, events: Any) -> None:
     """Take the load that the stages of its island shed at this step from every bus, and sum the load not served."""
-    step, unserved = rows.lane[OF_LANE.step], 0.0
+    step, unserved = rows.env[OF_ENV.step], 0.0
     for k in range(network.shunts.shape[0]):
         bus = rows.buses[k]
         island, load = int(bus[_OF_BUS.island]), bus[_OF_BUS.load]
@@ -289,7 +289,7 @@ def _shed(rows: _Rows, network: Network, events: Any) -> None:
             if step >= 0.0 and -1.0 - rows.stages[island, s] == step:
                 bus[_OF_BUS.served] = max(bus[_OF_BUS.served] - network.shed_shares[s], 0.0)
         unserved += max(load, 0.0) * (1.0 - (bus[_OF_BUS.served] if island >= 0 else 0.0))
-    rows.lane[OF_LANE.unserved] = unserved
+    rows.env[OF_ENV.unserved] = unserved
 
 
 @internal
@@ -321,22 +321,22 @@ def _load_of(bus: Floats, rows: _Rows, facts: Facts) -> complex:
 
 
 @compiled
-def assemble(y: Complex, unit_y: Complex, block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
+def assemble(y: Complex, unit_y: Complex, block: Floats, x: int, env: int, network: Network, data: BatchData) -> None:
     """Write the internal admittance of every unit of an environment and its bus admittances, without load noise [p.u.].
 
     They are written to `unit_y` (n_unit,) and the first n_bus columns of `y` (n_bus, n), for the environment in column
-    x of a block and row `lane` of the data. A unit that is disconnected has none, from the instant on at which a
+    x of a block and row `env` of the data. A unit that is disconnected has none, from the instant on at which a
     protection trips it. Else the matrix is that of the network as it was last reduced, with its loads and events. The
     step of that decides which events have struck; ramps have come half the way to the next change. A bus without
     voltage stands alone.
     """
-    _assemble(y, unit_y, _rows_of(block, x, network.facts), network, data.events[lane])
+    _assemble(y, unit_y, _rows_of(block, x, network.facts), network, data.events[env])
 
 
 @internal
 def _assemble(y: Complex, unit_y: Complex, rows: _Rows, network: Network, events: Any) -> None:
-    n, step = network.shunts.shape[0], rows.lane[OF_LANE.last_change]
-    middle = 0.5 * (step + rows.lane[OF_LANE.next_change])
+    n, step = network.shunts.shape[0], rows.env[OF_ENV.last_change]
+    middle = 0.5 * (step + rows.env[OF_ENV.next_change])
     y[:, :n] = 0.0
     for k in range(n):
         y[k, k] = network.shunts[k] + rows.buses[k, _OF_BUS.served] * _load_of(rows.buses[k], rows, network.facts)

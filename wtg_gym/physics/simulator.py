@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wtg_gym.physics import equilibrium, integration, linearisation, reduction
-from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, rows_of_lanes
+from wtg_gym.physics.layout import NO_EVENT, BatchData, Floats, rows_of_envs
 from wtg_gym.physics.plant import NO_TASK, Plant, TaskUnits, placed, programs_of
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
@@ -97,8 +97,8 @@ class BlockThreads:
 _CHECKED_WINDS = (8.0, 16.0)
 
 
-def _copy(data: LaneData) -> LaneData:
-    return LaneData._make(array.copy() for array in data)
+def _copy(data: BatchData) -> BatchData:
+    return BatchData._make(array.copy() for array in data)
 
 
 @functools.lru_cache(maxsize=64)
@@ -124,11 +124,11 @@ def _law_numbers(laws: tuple[TrackingLaw, ...]) -> Floats:
     return np.array([[getattr(law, name) for law in laws] for name in _OF_LAW.values()], dtype=np.float64)
 
 
-class PreparedLanes(NamedTuple):
+class PreparedBatch(NamedTuple):
     """Runs that are ready to start: the rows of each, (n, n_rows), and the data they read."""
 
     rows: Floats
-    data: LaneData
+    data: BatchData
 
 
 def _aligned_zeros(*shape: int) -> Floats:
@@ -140,7 +140,7 @@ def _aligned_zeros(*shape: int) -> Floats:
 
 
 class Simulator:
-    """Runs of one plant, in lanes.
+    """Runs of one plant, side by side.
 
     The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). The
     constructor checks it with nominal load and inertia under the reference law, at 8 and 16 m/s. :meth:`prepare` checks
@@ -156,13 +156,13 @@ class Simulator:
         self,
         settings: Plant,
         *,
-        n_lanes: int = 1,
+        num_envs: int = 1,
         duration_s: float = 60.0,
         task: TaskUnits = NO_TASK,
         n_threads: int | None = None,
         intervals_at_once: int = 1,
     ) -> None:
-        self.n_lanes = require_whole("the number of lanes", n_lanes, 1, 1_000_000)
+        self.num_envs = require_whole("the number of environments", num_envs, 1, 1_000_000)
         if n_threads is not None:
             n_threads = require_whole("the number of threads", n_threads, 1)
         self.settings = settings
@@ -174,26 +174,26 @@ class Simulator:
         self._law_rows = np.stack([self.layout.wtg(name) for name in _OF_LAW])
         self._committed_rows = np.stack([self.layout.rows_of(UNITS, name) for name in ("committed", "inv_committed")])
         self._wind_rows = np.stack([self.layout.wtg(name) for name in ("wind_start", "wind_end")])
-        self.width = 1 if n_lanes == 1 else WIDE
+        self.width = 1 if num_envs == 1 else WIDE
         self.link(task)
-        n_blocks = -(-self.n_lanes // self.width)
-        of_lane = self.layout.n_rows + (self.layout.n_wtg + 1) * self.n_intervals
-        require_memory(f"{self.n_lanes} lanes of {duration_s:g} s", 8 * n_blocks * self.width * of_lane)
-        #: Rows of all lanes (n_blocks, n_rows, width).
+        n_blocks = -(-self.num_envs // self.width)
+        of_env = self.layout.n_rows + (self.layout.n_wtg + 1) * self.n_intervals
+        require_memory(f"{self.num_envs} environments of {duration_s:g} s", 8 * n_blocks * self.width * of_env)
+        #: Rows of all environments (n_blocks, n_rows, width).
         self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows, self.width)
-        # A padded or not yet started lane must hold finite values: it is computed along with its neighbours.
+        # A padded or not yet started environment must hold finite values: it is computed along with its neighbours.
         self.data = self._allocate_data(n_blocks * self.width, 4)
         self.threads = BlockThreads(n_blocks, n_threads, intervals_at_once)
         #: Scratch of each worker (n_workers, n_scratch, width).
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         self._rates = np.zeros((0, 0, 0))
-        for lane in range(self.n_lanes, n_blocks * self.width):
-            rows = self._lane_view(lane)
+        for env in range(self.num_envs, n_blocks * self.width):
+            rows = self._env_view(env)
             padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
             self._write_machine_inputs(rows[None, :], [padding])
             for name in ("wind", "wind_start"):
                 rows[self.layout.wtg(name)] = 8.0
-            rows[self.layout.lane("next_change")] = math.inf
+            rows[self.layout.env("next_change")] = math.inf
         self._checked = _checked_inertias(settings)
         reference = group_laws(REFERENCE_STRATEGY, settings.turbines, settings.control)
         if reference not in self._checked and self._check_nominal(reference):
@@ -202,13 +202,13 @@ class Simulator:
     def functions(self) -> dict[Function, tuple[Any, ...]]:
         """Return the functions that are called at an address, with arguments like those they are given."""
         network, some = self.plant.network, np.zeros((1, 1))
-        of_lane = (some, 0, 0, network, self._allocate_data(1, 1))
+        of_env = (some, 0, 0, network, self._allocate_data(1, 1))
         arguments: dict[Function, tuple[Any, ...]] = {
-            integration.REFRESH: of_lane,
+            integration.REFRESH: of_env,
             equilibrium.POWER_FLOW: (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS),
         }
         if network.facts.islands.n_units > 1:
-            arguments[reduction.FIND_ISLANDS] = of_lane
+            arguments[reduction.FIND_ISLANDS] = of_env
         if network.facts.is_large:
             arguments[equilibrium.SPARSE_FLOW] = (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS, network.pattern)
         return arguments
@@ -256,8 +256,8 @@ class Simulator:
                 f"{equilibrium.scenario_name(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}"
             ) from None
 
-    def _allocate_data(self, n: int, n_events: int) -> LaneData:
-        return LaneData(
+    def _allocate_data(self, n: int, n_events: int) -> BatchData:
+        return BatchData(
             wind=np.full((n, self.layout.n_wtg, self.n_intervals + 1), 8.0),
             noise=np.zeros((n, self.n_intervals)),
             events=np.full((n, n_events), NO_EVENT),
@@ -267,33 +267,33 @@ class Simulator:
         """Return scratches for blocks of a width (n, n_scratch, width)."""
         return _aligned_zeros(n, self.layout.n_scratch, width)
 
-    def _lane_view(self, lane: int) -> Floats:
-        view: Floats = self.blocks[lane // self.width, :, lane % self.width]
+    def _env_view(self, env: int) -> Floats:
+        view: Floats = self.blocks[env // self.width, :, env % self.width]
         return view
 
     def values(self, row: int | np.int64) -> Floats:
-        """Return one row for every lane, shape (n_lanes,): a copy."""
-        return self.blocks[:, row, :].ravel()[: self.n_lanes].copy()
+        """Return one row for every environment, shape (num_envs,): a copy."""
+        return self.blocks[:, row, :].ravel()[: self.num_envs].copy()
 
     def machine_values(self, name: str) -> Floats:
-        """Return a number of every lane and synchronous machine by its name, shape (n_lanes, n_sync)."""
+        """Return a number of every environment and synchronous machine by its name, shape (num_envs, n_sync)."""
         return self._of_units(self.layout.machine(name))
 
     def wtg_values(self, name: str) -> Floats:
-        """Return a number of every lane and WTG group by its name, shape (n_lanes, n_wtg)."""
+        """Return a number of every environment and WTG group by its name, shape (num_envs, n_wtg)."""
         return self._of_units(self.layout.wtg(name))
 
     def _of_units(self, rows: Whole) -> Floats:
-        return np.ascontiguousarray(rows_of_lanes(self.blocks, rows, self.n_lanes))
+        return np.ascontiguousarray(rows_of_envs(self.blocks, rows, self.num_envs))
 
-    def lane_values(self, name: str) -> Floats:
-        """Return a number of every lane by its name, shape (n_lanes,)."""
-        return self.values(self.layout.lane(name))
+    def env_values(self, name: str) -> Floats:
+        """Return a number of every environment by its name, shape (num_envs,)."""
+        return self.values(self.layout.env(name))
 
     def prepare(
         self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw], *, turning: bool = False
-    ) -> PreparedLanes:
-        """Find the exact equilibria that scenarios start from, with one law per WTG group; no running lane is touched.
+    ) -> PreparedBatch:
+        """Find the exact equilibria that scenarios start from, with one law per WTG group; no running one is touched.
 
         `turning` refuses a rotor that would start below the under-speed trip: its run would end at once. A ValueError
         says that a scenario does not fit the plant or has no equilibrium, that the integration step is too long there,
@@ -301,7 +301,7 @@ class Simulator:
         """
         prepared = self._equilibria(scenarios, laws)
         equilibrium.check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
-        scales = ((scenario.inertia_scale * scenario.committed, lane) for lane, scenario in enumerate(scenarios))
+        scales = ((scenario.inertia_scale * scenario.committed, env) for env, scenario in enumerate(scenarios))
         (scale, lightest), of_laws = min(scales, default=(math.inf, 0)), tuple(laws)
         if scale < self._checked.get(of_laws, math.inf):
             self._check_step(prepared.rows[lightest], scenarios[lightest])
@@ -312,7 +312,7 @@ class Simulator:
             equilibrium.check_rotor_speeds(prepared.rows, scenarios, self.settings, self.layout)
         return prepared
 
-    def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
+    def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedBatch:
         counts = [(f"scenario {scenario.name!r} has wind for", scenario.n_wtg) for scenario in scenarios]
         for what, count in (*counts, ("there are laws for", len(laws))):
             if count != self.layout.n_wtg:
@@ -320,60 +320,60 @@ class Simulator:
         n = len(scenarios)
         events = [equilibrium.network_events(scenario, self.settings, self.plant) for scenario in scenarios]
         data = self._allocate_data(n, max([1, *map(len, events)]))
-        for lane, scenario in enumerate(scenarios):
-            self._write_series(data, lane, scenario)
-        for lane, changes in enumerate(events):
-            data.events[lane, : len(changes)] = np.array(changes, dtype=NO_EVENT.dtype)
+        for env, scenario in enumerate(scenarios):
+            self._write_series(data, env, scenario)
+        for env, changes in enumerate(events):
+            data.events[env, : len(changes)] = np.array(changes, dtype=NO_EVENT.dtype)
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
         rows[:, self._law_rows] = _law_numbers(tuple(laws))
         rows[:, self._wind_rows] = data.wind[:, np.newaxis, :, 0]
-        rows[:, self.layout.lane("noise_bus")] = [self.settings.case.bus_index(s.load_noise_bus) for s in scenarios]
+        rows[:, self.layout.env("noise_bus")] = [self.settings.case.bus_index(s.load_noise_bus) for s in scenarios]
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         plant, blocks, scratch = self.plant, rows[:, :, np.newaxis], self.new_scratches(1, 1)[0]
-        equilibrium.prepare_lanes(blocks, scratch, plant.bus_y, plant.network, data, levels, failures)
+        equilibrium.prepare_envs(blocks, scratch, plant.bus_y, plant.network, data, levels, failures)
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = equilibrium.start_failure(
                     StartFailure(failure), unit, row, scenario, self.settings, self.layout
                 )
                 raise equilibrium.StartError(f"scenario {scenario.name!r} cannot start: {reason}")
-        return PreparedLanes(rows, data)
+        return PreparedBatch(rows, data)
 
     def start(
         self,
-        lanes: int | Sequence[int] | Whole,
-        runs: Scenario | PreparedLanes,
+        envs: int | Sequence[int] | Whole,
+        runs: Scenario | PreparedBatch,
         laws: Sequence[TrackingLaw] = (),
         places: Whole | None = None,
     ) -> None:
-        """Start runs in lanes, one each: those of some `places` that :meth:`prepare` returned, or one scenario."""
-        prepared = runs if isinstance(runs, PreparedLanes) else self.prepare([runs], laws)
+        """Start one run in each: those of some `places` that :meth:`prepare` returned, or one scenario."""
+        prepared = runs if isinstance(runs, PreparedBatch) else self.prepare([runs], laws)
         n_events = prepared.data.events.shape[1]
         if n_events > self.data.events.shape[1]:
             more = self._allocate_data(self.data.wind.shape[0], 2 * n_events).events
             more[:, : self.data.events.shape[1]] = self.data.events
             self.data = self.data._replace(events=more)
-        index = np.array(lanes, dtype=np.int64).reshape(-1)
+        index = np.array(envs, dtype=np.int64).reshape(-1)
         if places is None:
             places = np.arange(len(prepared.rows))
         if index.size != places.size:
-            raise ValueError(f"a prepared run is needed for each of {index.size} lanes, got {places.size}")
+            raise ValueError(f"a prepared run is needed for each of {index.size} environments, got {places.size}")
         self.blocks[index // self.width, :, index % self.width] = prepared.rows[places]
         wind, noise, events = self.data
         wind[index], noise[index] = prepared.data.wind[places], prepared.data.noise[places]
         events[index] = NO_EVENT
         events[index, :n_events] = prepared.data.events[places]
 
-    def _write_series(self, data: LaneData, lane: int, scenario: Scenario) -> None:
+    def _write_series(self, data: BatchData, env: int, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals
         if scenario.duration_s > n * dt * (1.0 + 1e-9):
             raise ValueError(
                 f"scenario {scenario.name!r} lasts {scenario.duration_s:g} s, longer than the {n * dt:g} s held here; "
                 f"make it shorter, such as suite.scenario(seed, duration_s={n * dt:g})"
             )
-        wind, target = scenario.wind_speed, data.wind[lane]
+        wind, target = scenario.wind_speed, data.wind[env]
         if abs(scenario.wind_dt_s - dt) < 1e-12:
             m = min(wind.shape[1], n + 1)
             target[:, :m] = wind[:, :m]
@@ -389,7 +389,7 @@ class Simulator:
             if samples.size and samples[-1] >= noise.size:
                 samples = samples[: np.searchsorted(samples, noise.size)]
             # Another mode than "raise" writes without a buffer.
-            noise.take(samples, out=data.noise[lane, : samples.size], mode="clip")
+            noise.take(samples, out=data.noise[env, : samples.size], mode="clip")
 
     def _write_machine_inputs(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         machines = self.plant.machines
@@ -407,12 +407,12 @@ class Simulator:
         # A scenario's droop is that of the machines with a governor.
         rows[:, self.layout.machine("inv_droop")] = np.where(np.isnan(inv_droop) | (nominal <= 0.0), nominal, inv_droop)
 
-    def stop(self, lane: int) -> None:
-        """Let a lane stand still from now on."""
-        self._lane_view(lane)[self.layout.lane("active")] = 0.0
+    def stop(self, env: int) -> None:
+        """Let an environment stand still from now on."""
+        self._env_view(env)[self.layout.env("active")] = 0.0
 
     def advance(self) -> None:
-        """Advance every running lane by one control interval."""
+        """Advance every running environment by one control interval."""
         self.threads.run(
             lambda first, last, worker: integration.advance_blocks(
                 self.blocks, self.scratches[worker], first, last, self.plant.network, self.data
@@ -420,7 +420,7 @@ class Simulator:
         )
 
     def evaluate(self) -> None:
-        """Evaluate rates, powers and coefficients of all lanes at their present states, in place."""
+        """Evaluate rates, powers and coefficients of all environments at their present states, in place."""
         self._rates = self._evaluated(self.blocks)
 
     def _evaluated(self, blocks: Floats) -> Floats:
@@ -428,38 +428,38 @@ class Simulator:
         integration.evaluate_blocks(blocks, scratches, self.plant.network)
         return scratches
 
-    def bus_voltages(self, lane: int = 0) -> Complex:
-        """Return the bus voltages at the present state of a lane, shape (n_bus,) [p.u.].
+    def bus_voltages(self, env: int = 0) -> Complex:
+        """Return the bus voltages at the present state of an environment, shape (n_bus,) [p.u.].
 
         Angles count from the rotor of the first machine, which goes on at its last speed after an outage.
         """
-        block, x = self.blocks[lane // self.width], lane % self.width
+        block, x = self.blocks[env // self.width], env % self.width
         scratch = self._evaluated(block[np.newaxis].copy())[0, :, x]
         first = self.layout.first_rows(UNITS, "voltage")
         internal = scratch[first] + 1j * scratch[first + 1]
-        network, noise_bus = self.plant.network, int(self.lane_values("noise_bus")[lane])
+        network, noise_bus = self.plant.network, int(self.env_values("noise_bus")[env])
         y, unit_y = np.zeros((network.shunts.size,) * 2, dtype=np.complex128), np.zeros_like(network.unit_y)
-        reduction.assemble(y, unit_y, block, x, lane, network, self.data)
-        y[noise_bus, noise_bus] += self.lane_values("noise_y")[lane]
+        reduction.assemble(y, unit_y, block, x, env, network, self.data)
+        y[noise_bus, noise_bus] += self.env_values("noise_y")[env]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)
         voltages: Complex = np.linalg.solve(y, injected).astype(np.complex128)
         return voltages
 
-    def state(self, lane: int = 0) -> Floats:
-        """Return a copy of a lane's state vector; `layout.state_names` names its entries."""
-        return self._lane_view(lane)[self.layout.state_rows]
+    def state(self, env: int = 0) -> Floats:
+        """Return a copy of an environment's state vector; `layout.state_names` names its entries."""
+        return self._env_view(env)[self.layout.state_rows]
 
-    def rates(self, lane: int = 0) -> Floats:
-        """Return a copy of a lane's time derivatives, as last evaluated."""
-        rates: Floats = self._rates[lane // self.width, self.layout.rate_rows, lane % self.width]
+    def rates(self, env: int = 0) -> Floats:
+        """Return a copy of an environment's time derivatives, as last evaluated."""
+        rates: Floats = self._rates[env // self.width, self.layout.rate_rows, env % self.width]
         return rates
 
-    def snapshot(self) -> tuple[Floats, LaneData]:
+    def snapshot(self) -> tuple[Floats, BatchData]:
         """Return a copy of everything that changes; :meth:`restore` goes back to it."""
         return self.blocks.copy(), _copy(self.data)
 
-    def restore(self, snapshot: tuple[Floats, LaneData]) -> None:
+    def restore(self, snapshot: tuple[Floats, BatchData]) -> None:
         """Go back to a :meth:`snapshot`; it can be used again.
 
         A ValueError says that the snapshot is of a simulator of another size; nothing has changed then.
@@ -467,7 +467,7 @@ class Simulator:
         blocks, data = snapshot
         if blocks.shape != self.blocks.shape or data.wind.shape != self.data.wind.shape:
             raise ValueError(
-                f"the snapshot is of another simulator: it holds {data.wind.shape[:2]} lanes and groups over "
+                f"the snapshot is of another simulator: it holds {data.wind.shape[:2]} environments and groups over "
                 f"{data.wind.shape[2] - 1} intervals, this one {self.data.wind.shape[:2]} over {self.n_intervals}"
             )
         self.blocks[:] = blocks

@@ -6,7 +6,7 @@ Between them the power flow is solved (:mod:`wtg_gym.physics.equilibrium`).
 import math
 
 from wtg_gym.physics import units
-from wtg_gym.physics.units import BUSES, LANE, UNITS, Bus, Connection, Phasor, Sizes
+from wtg_gym.physics.units import BUSES, ENV, UNITS, Bus, Connection, Phasor, Sizes
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.systems import system
@@ -119,7 +119,7 @@ def share_flow(
     return units.Terminal(power, reactive, at_bus, math.hypot(at_bus.re, at_bus.im), Phasor(current.re, -current.im))
 
 
-@system(LANE, "angle", "sampled_angle")
+@system(ENV, "angle", "sampled_angle")
 def start_angle(frame: float) -> tuple[float, float]:
     """Let the angle of the first unit begin where the network's frame is."""
     return frame, frame

@@ -18,7 +18,7 @@ import math
 from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
 from wtg_gym.physics import wtg_unit as wtg
-from wtg_gym.physics.units import ISLANDS, LANE, PAIRS, UNITS, ControlJoining, Joining
+from wtg_gym.physics.units import ENV, ISLANDS, PAIRS, UNITS, ControlJoining, Joining
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.programs import Each, Here, Product, Repeat, When
 from wtg_gym.systems.systems import setting
@@ -28,7 +28,7 @@ from wtg_gym.systems.systems import setting
 _SWEEPS = 100
 
 VOLTAGES = (
-    setting(LANE, "no machine", reference_speed=1.0),
+    setting(ENV, "no machine", reference_speed=1.0),
     machine.reference,
     machine.voltage_of_machine,
     machine.saturate_machine,
@@ -42,14 +42,14 @@ ADMITTANCES = (units.load_noise, units.admittance_with_noise)
 #: Currents without a limit, and which of them are too large.
 FREE_CURRENTS = (
     Product(PAIRS, "admittance", UNITS, "voltage", "current"),
-    setting(LANE, exceeded=0.0),
+    setting(ENV, exceeded=0.0),
     wtg.find_exceeded_limits,
 )
 
 #: A sweep over the groups: each finds its voltage with all others fixed, and all currents follow.
-SWEEP = (setting(LANE, unsettled=0.0), Each(wtg.limit_current, wtg.follow_change))
+SWEEP = (setting(ENV, unsettled=0.0), Each(wtg.limit_current, wtg.follow_change))
 
-LIMITS = (When(LANE, "exceeded", (Repeat(LANE, "unsettled", SWEEP, most=_SWEEPS),)),)
+LIMITS = (When(ENV, "exceeded", (Repeat(ENV, "unsettled", SWEEP, most=_SWEEPS),)),)
 
 FLOWS = (*VOLTAGES, *FREE_CURRENTS)
 
@@ -82,7 +82,7 @@ COI = (
     setting(ISLANDS, sums=units.Sums(0.0, 0.0)),
     protection.add_machine,
     protection.add_group,
-    When(LANE, "split", (protection.add_member,)),
+    When(ENV, "split", (protection.add_member,)),
     protection.centre_of_inertia,
     protection.centre_of_grid,
 )
@@ -94,7 +94,7 @@ WATCH = (
     protection.count_shed_energy,
     protection.reset_alarm,
     protection.alarm_island,
-    When(LANE, "alarm", (protection.shed_load,)),
+    When(ENV, "alarm", (protection.shed_load,)),
 )
 FINISH = (*MOVED, *WATCH)
 
@@ -105,10 +105,10 @@ PROTECT = (
     protection.sample_group,
     Here(Joining.SAMPLE),
     protection.compare_unit,
-    When(LANE, "split", (protection.compare_member,)),
+    When(ENV, "split", (protection.compare_member,)),
     protection.judge_island,
     protection.judge_grid,
-    When(LANE, "split", (protection.fall_member, protection.trip_machine)),
+    When(ENV, "split", (protection.fall_member, protection.trip_machine)),
     protection.judge_rotor,
     wtg.judge_chopper,
     wtg.judge_over_voltage,
@@ -121,12 +121,12 @@ _TRIALS = 10_000
 
 #: What buses and units bring to the power flow.
 PLAN = (
-    setting(LANE, failure=units.Failure(0.0, 0.0)),
+    setting(ENV, failure=units.Failure(0.0, 0.0)),
     starting.plan_bus,
     wtg.start_search,
-    Repeat(LANE, "searching", (*CAPTURE, setting(LANE, searching=0.0), wtg.advance_search), most=_TRIALS),
+    Repeat(ENV, "searching", (*CAPTURE, setting(ENV, searching=0.0), wtg.advance_search), most=_TRIALS),
     wtg.plan_group,
-    setting(LANE, needed=0.0),
+    setting(ENV, needed=0.0),
     starting.add_needed_load,
     starting.subtract_group_power,
     machine.subtract_machine_power,
@@ -136,10 +136,10 @@ PLAN = (
 )
 
 #: After a power flow: machines share what the slack bus lacks.
-BALANCE = (setting(LANE, lacking=0.0), starting.find_slack_mismatch, starting.balance_unit)
+BALANCE = (setting(ENV, lacking=0.0), starting.find_slack_mismatch, starting.balance_unit)
 
 #: After a power flow: buses whose groups cannot hold the voltage let go of it.
-RELEASE = (setting(LANE, released=0.0), starting.release_voltage)
+RELEASE = (setting(ENV, released=0.0), starting.release_voltage)
 
 #: After the last one: every unit finds its equilibrium, from what it delivers.
 SETTLE = (
@@ -147,7 +147,7 @@ SETTLE = (
     starting.share_flow,
     machine.start_machine,
     Here(ControlJoining.SETTLE),
-    setting(LANE, "no machine", frame=0.0),
+    setting(ENV, "no machine", frame=0.0),
     machine.find_frame,
     machine.turn_machine,
     wtg.start_group,
@@ -156,16 +156,16 @@ SETTLE = (
     Here(Joining.SETTLE),
     starting.start_angle,
     # An event at t = 0 strikes in the first step, not before.
-    setting(LANE, active=1.0, status=0.0, noise_y=0.0, step=-1.0, last_change=-2.0, split=0.0),
-    setting(LANE, coi_min=math.inf, coi_max=-math.inf, shed_energy=0.0, was_low=0.0),
-    setting(LANE, worst=1.0, worst_min=1.0, worst_max=1.0, sampled_step=0.0),
+    setting(ENV, active=1.0, status=0.0, noise_y=0.0, step=-1.0, last_change=-2.0, split=0.0),
+    setting(ENV, coi_min=math.inf, coi_max=-math.inf, shed_energy=0.0, was_low=0.0),
+    setting(ENV, worst=1.0, worst_min=1.0, worst_max=1.0, sampled_step=0.0),
     setting(ISLANDS, healthy_step=0.0, centre=1.0, turned=0.0),
     setting(UNITS, own_island=0.0),
 )
 
 #: After the first evaluation of a run: its first outputs, and what is beyond its limits then.
 START = (
-    setting(LANE, step=0.0),
+    setting(ENV, step=0.0),
     *protection.BUS_VOLTAGES,
     protection.start_bus,
     *COI,

@@ -77,7 +77,7 @@ def simulate(
 
 
 def record(simulator: Simulator, advance: Callable[[int], Any]) -> dict[str, Any]:
-    """Record the run that has started in the first lane of a simulator, as the arguments of a :class:`Trajectory`.
+    """Record the run of the first environment of a simulator, as the arguments of a :class:`Trajectory`.
 
     Args:
         simulator: has started a run.
@@ -85,16 +85,16 @@ def record(simulator: Simulator, advance: Callable[[int], Any]) -> dict[str, Any
     """
     samples, settings = [_sample(simulator)], simulator.settings
     for interval in range(simulator.n_intervals):
-        if simulator.lane_values("active")[0] < 0.5:
+        if simulator.env_values("active")[0] < 0.5:
             break
         advance(interval)
         samples.append(_sample(simulator))
     grid, groups, machines, buses, terminals, voltages = (np.array(column) for column in zip(*samples, strict=True))
     nominal, time = settings.case.frequency_hz, np.arange(len(grid), dtype=np.float64) * settings.control_dt
-    status = protection.Status(int(simulator.lane_values("status")[0]))
+    status = protection.Status(int(simulator.env_values("status")[0]))
     if status != protection.Status.RUNNING:
         # A protection may act within a control interval.
-        time[-1] = min(time[-1], simulator.lane_values("step")[0] * settings.simulation_dt)
+        time[-1] = min(time[-1], simulator.env_values("step")[0] * settings.simulation_dt)
     of_group = dict(zip(_OF_GROUPS, groups.swapaxes(0, 1), strict=True))
     tip_speed = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in settings.turbines])
     reactive, current, cut, connected = terminals.swapaxes(0, 1)
@@ -134,7 +134,7 @@ def _sample(simulator: Simulator) -> tuple[Any, ...]:
     """Return what is recorded of grid, WTG groups, machines and buses."""
     n_bus = simulator.plant.buses.size if simulator.settings.extended else 0
     return (
-        [simulator.lane_values(name)[0] for name in ("coi", "shed_energy")],
+        [simulator.env_values(name)[0] for name in ("coi", "shed_energy")],
         [simulator.wtg_values(name)[0] for name in _OF_GROUPS],
         [simulator.machine_values(name)[0] for name in ("speed", "power")],
         simulator.blocks[0, simulator.layout.rows_of(BUSES, "frequency")[:n_bus], 0],

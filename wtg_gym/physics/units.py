@@ -1,4 +1,4 @@
-"""The environment ("lane") that all units are in, and the network between them."""
+"""The environment that all units are in, and the network between them."""
 
 import functools
 import math
@@ -63,7 +63,7 @@ def _moved(
 
 
 def _kept(moved: Any, within: Any, base: Any, last: float, active: float) -> Any:
-    """Return states after a stage; an ended lane keeps its base exactly, to which not even a rounding is added."""
+    """Return states after a stage; an ended one keeps its base exactly, to which not even a rounding is added."""
     held = each(lambda free, limited: select(last > 0.5, limited, free), moved, within)
     return each(lambda new, old: select(active > 0.5, new, old), held, base)
 
@@ -216,9 +216,9 @@ class ControlJoining(StrEnum):
     START = "control start"
 
 
-#: The environment that a unit is in, a column of a block. Numbers of a whole run are of the lane.
-LANE = Kind(
-    name="lanes",
+#: The environment that a unit is in, a column of a block. Numbers of a whole run are of the environment.
+ENV = Kind(
+    name="environments",
     rows={
         "angle": float,  # of the first unit against a frame at nominal frequency [rad]
         "active": float,  # 1 while it runs, 0 once it has ended
@@ -300,7 +300,7 @@ ISLANDS = Kind(
         "violation": float,  # status that the protections find now
     },
     constants={"number": float},
-    sees={"lane": LANE},
+    sees={"env": ENV},
 )
 #: Buses of the network; their scratch serves the start of a run.
 BUSES = Kind(
@@ -324,7 +324,7 @@ BUSES = Kind(
         "sizes": Sizes,
     },
     constants={"bus": Bus},
-    sees={"lane": LANE},
+    sees={"env": ENV},
 )
 #: All units as the network sees them, machines first.
 UNITS = Kind(
@@ -346,12 +346,12 @@ UNITS = Kind(
         "sample": Sample,
     },
     constants={"connection": Connection},
-    sees={"lane": LANE, "bus": BUSES, "grid_": ISLANDS},
+    sees={"env": ENV, "bus": BUSES, "grid_": ISLANDS},
 )
 #: Every unit with every island but the grid, island after island.
-MEMBERS = Kind(name="members", sees={"unit_": UNITS, "island_": ISLANDS, "lane": LANE})
+MEMBERS = Kind(name="members", sees={"unit_": UNITS, "island_": ISLANDS, "env": ENV})
 #: The first island.
-MAIN = Kind(name="main island", sees={"island": ISLANDS, "lane": LANE})
+MAIN = Kind(name="main island", sees={"island": ISLANDS, "env": ENV})
 #: Every unit's effect on every bus, bus after bus.
 TRANSFERS = Kind(name="transfers", rows={"share": Phasor}, sees={"bus_": BUSES, "unit_": UNITS})
 #: Pairs of units, row by row of the reduced admittance matrix.
@@ -359,7 +359,7 @@ PAIRS = Kind(
     name="pairs",
     rows={"fixed_admittance": Phasor},  # without load noise
     scratch={"admittance": Phasor},
-    sees={"row_": UNITS, "column_": UNITS, "lane": LANE},
+    sees={"row_": UNITS, "column_": UNITS, "env": ENV},
 )
 
 
@@ -398,7 +398,7 @@ def internal_voltage(start: Terminal, connection: Connection) -> tuple[float, fl
     return math.hypot(re, im), math.atan2(im, re)
 
 
-@system(LANE, "noise_factor")
+@system(ENV, "noise_factor")
 def load_noise(noise_y: float, noise_z: Phasor) -> Phasor:
     """Return Δy/(1 + Δy z) of the load noise's conductance Δy."""
     d_re, d_im = 1.0 + noise_y * noise_z.re, noise_y * noise_z.im
@@ -421,7 +421,7 @@ def admittance_with_noise(
     return Phasor(y0.re + f.re * v_re - f.im * v_im, y0.im + f.re * v_im + f.im * v_re)
 
 
-@system(LANE, "angle_rates")
+@system(ENV, "angle_rates")
 def reference_rate(reference_speed: float, omega_n: float) -> float:
     """Return the rate of the first unit's angle against a frame at nominal frequency."""
     return omega_n * (reference_speed - 1.0)
@@ -430,7 +430,7 @@ def reference_rate(reference_speed: float, omega_n: float) -> float:
 reference_stage = moving(reference_rate)
 
 
-@system(LANE, "step")
+@system(ENV, "step")
 def count_step(step: float, active: float) -> float:
     """Count a simulation step of a running environment."""
     return step + select(active > 0.5, 1.0, 0.0)

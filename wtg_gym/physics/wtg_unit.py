@@ -9,7 +9,7 @@ from wtg_gym.physics import units
 from wtg_gym.physics import wind_turbine as equations
 from wtg_gym.physics.aerodynamics import power_coefficient_at
 from wtg_gym.physics.rotor_table import tabulated_power_coefficient
-from wtg_gym.physics.units import LANE, UNITS, Connection, Failure, Phasor
+from wtg_gym.physics.units import ENV, UNITS, Connection, Failure, Phasor
 from wtg_gym.physics.wind_turbine import Extension, ExtensionState, Turbine, WtgInput, WtgState
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import fma, select
@@ -44,7 +44,7 @@ GROUPS = Kind(
     },
     # The share is the rating on the base of the system.
     constants={"turbine": Turbine, "cells": ex.Cells, "share": float, "inv_share": float},
-    sees={"unit": UNITS, "island": units.ISLANDS, "lane": LANE},
+    sees={"unit": UNITS, "island": units.ISLANDS, "env": ENV},
     states=("state",),
 )
 
@@ -207,7 +207,7 @@ EXTENSIONS = Kind(
         "change": Phasor,  # of the voltage behind X_g in the latest sweep [p.u.]
     },
     constants={"extension": Extension},
-    sees={"group": GROUPS, "unit": UNITS, "bus_": units.BUSES, "diagonal_": units.PAIRS, "lane": LANE},
+    sees={"group": GROUPS, "unit": UNITS, "bus_": units.BUSES, "diagonal_": units.PAIRS, "env": ENV},
     states=("extension_state",),
 )
 #: The column of each extended group in the admittance matrix: one entry for every unit.
@@ -273,7 +273,7 @@ def _current_limiter(settled: float) -> Callable[..., tuple[float, Phasor, Phaso
     ) -> tuple[float, Phasor, Phasor, float]:
         """Find the limiting reactance with all other voltages fixed, and the voltage behind it.
 
-        A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
+        An environment without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
         """
         y, e = diagonal_admittance, voltage
         free = units.plus(unit_current, y, Phasor(source.re - e.re, source.im - e.im))

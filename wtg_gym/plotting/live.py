@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.rendering import EVENT, INK, SOFT, group_colour
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate
@@ -15,7 +15,7 @@ from wtg_gym.scenarios import SPLITS, Suite
 if TYPE_CHECKING:
     from bokeh.document import Document
 
-#: Lanes of the two: you, and the reference.
+#: The two environments: you, and the reference.
 OWN, REFERENCE = 0, 1
 #: How often the page is brought up to date [ms]; a slow machine plays more slowly.
 _TICK_MS = 50
@@ -46,20 +46,20 @@ class Match:
         self.suite, self.seed = suite, seed
         settings = EnvSettings(suite=suite.name, duration_s=duration_s)
         self.duration_s = settings.episode_duration_s()
-        self._lanes = TaskLanes(settings, 2, 1)
-        self._lanes.start([OWN, REFERENCE], self._lanes.scenarios([seed, seed]))
-        self.n_groups, self.control_dt = self._lanes.n_wtg, settings.step_s
-        self.nominal_hz = self._lanes.nominal_hz
+        self._batch = EnvBatch(settings, 2, 1)
+        self._batch.start([OWN, REFERENCE], self._batch.scenarios([seed, seed]))
+        self.n_groups, self.control_dt = self._batch.n_wtg, settings.step_s
+        self.nominal_hz = self._batch.nominal_hz
         self._actions: list[npt.NDArray[np.float64]] = []
 
-    def has_ended(self, lane: int = OWN) -> bool:
-        """Return whether the run of a lane has ended."""
-        return bool(np.logical_or(*self._lanes.ended())[lane])
+    def has_ended(self, env: int = OWN) -> bool:
+        """Return whether the run of an environment has ended."""
+        return bool(np.logical_or(*self._batch.ended())[env])
 
     @property
     def time_s(self) -> float:
         """Time since your start [s]; of a failure its instant."""
-        return float(self._lanes.simulator.lane_values("step")[OWN]) * self._lanes.simulator.settings.simulation_dt
+        return float(self._batch.simulator.env_values("step")[OWN]) * self._batch.simulator.settings.simulation_dt
 
     def step(self, k: float, tau: float) -> list[tuple[float, str]]:
         """Hold your action on k and τ of all groups for a control interval; return times [s] and words of events."""
@@ -67,15 +67,15 @@ class Match:
         before_s = self.time_s if self._actions else -1.0
         # Group after group, as the environment takes them.
         self._actions.append(np.tile([k, tau], self.n_groups))
-        self._lanes.step(np.stack([self._actions[-1], np.zeros(self._lanes.n_action)]))
-        events = sorted(self._lanes.events[OWN], key=lambda event: event.time_s)
+        self._batch.step(np.stack([self._actions[-1], np.zeros(self._batch.n_action)]))
+        events = sorted(self._batch.events[OWN], key=lambda event: event.time_s)
         return [(e.time_s, e.words) for e in events if before_s < e.time_s <= self.time_s]
 
     def sample(self) -> dict[str, npt.NDArray[np.float64]]:
         """Return where both stand: frequency (2,) [Hz]; rotor speed, power [p.u.] and wind [m/s] (2, n_groups)."""
-        simulator = self._lanes.simulator
+        simulator = self._batch.simulator
         return {
-            "frequency": self.nominal_hz * simulator.lane_values("coi"),
+            "frequency": self.nominal_hz * simulator.env_values("coi"),
             "rotor": simulator.wtg_values("rotor_speed"),
             "power": simulator.wtg_values("power"),
             "wind": simulator.wtg_values("wind"),
@@ -163,8 +163,8 @@ class PlayPage:
         for j in range(1 if name == "frequency" else self._match.n_groups):
             colour = INK if name == "frequency" else group_colour(j)
             yours = {"line_width": 2.2, **({"legend_label": f"group {j + 1}"} if name == "rotor" else {})}
-            for lane, style in ((REFERENCE, {"line_dash": [6, 3]}), (OWN, yours)):
-                made.line("t", f"{name}-{lane}-{j}", source=self._traces, color=colour, **style)
+            for env, style in ((REFERENCE, {"line_dash": [6, 3]}), (OWN, yours)):
+                made.line("t", f"{name}-{env}-{j}", source=self._traces, color=colour, **style)
         if name == "rotor":
             made.legend.update(location="bottom_right", orientation="horizontal", padding=2, background_fill_alpha=0.7)
         return made
@@ -196,8 +196,8 @@ class PlayPage:
         gone = self._match.has_ended(REFERENCE) and not self._match.has_ended()
         now = {"t": self._match.time_s}
         for name, values in self._match.sample().items():
-            for (lane, j), value in np.ndenumerate(values.reshape(2, -1)):
-                now[f"{name}-{lane}-{j}"] = np.nan if gone and lane == REFERENCE else float(value)
+            for (env, j), value in np.ndenumerate(values.reshape(2, -1)):
+                now[f"{name}-{env}-{j}"] = np.nan if gone and env == REFERENCE else float(value)
         return now
 
     def _tick(self) -> None:

@@ -30,7 +30,7 @@ class Policy(Protocol):
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_action) in [-1, 1], next recurrent state) for observations (n_lanes, n)."""
+        """Return (actions (num_envs, n_action) in [-1, 1], next recurrent state) for observations (num_envs, n)."""
         ...
 
 

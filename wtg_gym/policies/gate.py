@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.names import plain_name
 from wtg_gym.policies import entry_folder
 from wtg_gym.policies.entry import Entry, row_conflict
-from wtg_gym.policies.play import play, started_lanes
+from wtg_gym.policies.play import play, started_batch
 from wtg_gym.policies.policy_process import NotIsolatedError, OnnxPolicy
 from wtg_gym.tasks import TASKS, V1
 
@@ -29,8 +29,8 @@ PASSED, REFUSED, NOT_REACHED = "passed", "refused", "not reached"
 ANSWER_S = 1e-3
 #: Scenarios that are answered then, as many as a process ever plays: a policy that keeps to its limits here does so
 #: wherever it is played later. The fastest of five steps counts, as a busy machine slows down the others.
-_TIMED_LANES, _TIMES = 256, 5
-_ROLLOUT_LANES = 32
+_TIMED_ENVS, _TIMES = 256, 5
+_ROLLOUT_ENVS = 32
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def _findings(report: Report, *, weak: bool) -> Iterator[str]:
         yield f"onnxruntime runs it, {seen} observations, {acts} actions, states {states}"
         yield check_speed(policy)
     actions = rollout(entry)
-    yield f"{_ROLLOUT_LANES} scenarios of the validation split, up to {len(actions)} steps"
+    yield f"{_ROLLOUT_ENVS} scenarios of the validation split, up to {len(actions)} steps"
     if not np.array_equal(actions, rollout(entry, backwards=True)):
         raise ValueError("the same scenarios in another order, in another process, give other actions")
     yield "the same actions to the last bit, in another order"
@@ -165,39 +165,39 @@ def widths(entry: Entry) -> tuple[int, int]:
     """Return how many observations and actions an entry's modes and environment have, or one group of it."""
     version = TASKS[entry.environment or V1.env_id].version
     modes: Any = {"action_mode": entry.action_mode, "observation_mode": entry.observation_mode}
-    lanes = TaskLanes(EnvSettings(version=version, **modes), 1, 1)
-    n_parts = lanes.n_wtg if entry.per_group else 1
-    return lanes.n_observation // n_parts, lanes.n_action // n_parts
+    batch = EnvBatch(EnvSettings(version=version, **modes), 1, 1)
+    n_parts = batch.n_wtg if entry.per_group else 1
+    return batch.n_observation // n_parts, batch.n_action // n_parts
 
 
 def check_speed(policy: OnnxPolicy) -> str:
     """Return in words how long a policy takes for a scenario's step; a ValueError if that is too long."""
-    observations = np.random.default_rng(0).uniform(-1.0, 1.0, (_TIMED_LANES, policy.widths[0]))
+    observations = np.random.default_rng(0).uniform(-1.0, 1.0, (_TIMED_ENVS, policy.widths[0]))
     # Opens the sessions, which is not timed.
     _, state = policy.predict(observations)
     times = []
     for _ in range(_TIMES):
         began = time.perf_counter()
-        policy.predict(observations, state, np.zeros(_TIMED_LANES, dtype=np.bool_))
+        policy.predict(observations, state, np.zeros(_TIMED_ENVS, dtype=np.bool_))
         times.append(time.perf_counter() - began)
-    taken_ms, allowed_ms = 1e3 * min(times) / _TIMED_LANES, 1e3 * ANSWER_S
+    taken_ms, allowed_ms = 1e3 * min(times) / _TIMED_ENVS, 1e3 * ANSWER_S
     if taken_ms > allowed_ms:
         raise ValueError(f"more than {allowed_ms:g} ms for an action, in the fastest of {_TIMES} steps")
     return f"{taken_ms:.3f} ms for an action, allowed are {allowed_ms:g}"
 
 
 def rollout(entry: Entry, *, backwards: bool = False) -> npt.NDArray[np.float64]:
-    """Return the actions of an entry's policy in validation scenarios, within ±1, (steps, lanes, n_action).
+    """Return the actions of an entry's policy in validation scenarios, within ±1, (steps, environments, n_action).
 
     They are zero once an episode is over. `backwards` plays the last scenario first, and returns the usual order. A
     policy that cannot answer, or not by finite actions, is a ValueError.
     """
     settings = EnvSettings(version=TASKS[entry.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1
-    seeds = settings.resolved_suite.validation[:_ROLLOUT_LANES][::order]
+    seeds = settings.resolved_suite.validation[:_ROLLOUT_ENVS][::order]
     actions: list[npt.NDArray[np.float64]] = []
-    with started_lanes(entry, settings, seeds) as (lanes, _):
-        collections.deque(play(entry, lanes, actions), maxlen=0)
+    with started_batch(entry, settings, seeds) as (batch, _):
+        collections.deque(play(entry, batch, actions), maxlen=0)
     return np.clip(np.stack(actions), -1.0, 1.0)[:, ::order]
 
 

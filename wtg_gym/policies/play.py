@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import printable
 from wtg_gym.physics.scenario import Scenario
@@ -19,12 +19,12 @@ from wtg_gym.policies.policy_process import NotIsolatedError, OnnxPolicy, Policy
 
 
 @contextlib.contextmanager
-def started_lanes(
+def started_batch(
     entry: Entry, settings: EnvSettings, episodes: Sequence[Scenario] | Sequence[int], n_threads: int | None = None
-) -> Iterator[tuple[TaskLanes, Sequence[Scenario]]]:
-    """Start one lane per scenario, or seed of the settings' suite, with an entry's own law and modes.
+) -> Iterator[tuple[EnvBatch, Sequence[Scenario]]]:
+    """Start one environment per scenario, or seed of the settings' suite, with an entry's own law and modes.
 
-    Yields the lanes and their scenarios. A scenario without an equilibrium under the law is a PolicyError.
+    Yields the batch and its scenarios. A scenario without an equilibrium under the law is a PolicyError.
     """
     entry_settings = dataclasses.replace(
         settings,
@@ -33,52 +33,52 @@ def started_lanes(
         observation_mode=entry.observation_mode,
         reward="cost",
     )
-    lanes = TaskLanes(entry_settings, len(episodes), n_threads)
+    batch = EnvBatch(entry_settings, len(episodes), n_threads)
     try:
         drawn = not isinstance(episodes[0], Scenario)
-        scenarios: Any = lanes.scenarios(cast(Sequence[int], episodes)) if drawn else episodes
+        scenarios: Any = batch.scenarios(cast(Sequence[int], episodes)) if drawn else episodes
         try:
-            lanes.start(range(len(episodes)), scenarios)
+            batch.start(range(len(episodes)), scenarios)
         except ValueError as error:
             raise PolicyError(f"entry {entry.label!r}: {error}") from error
-        yield lanes, scenarios
+        yield batch, scenarios
     finally:
-        lanes.close()
+        batch.close()
 
 
 def play(
-    entry: Entry, lanes: TaskLanes, taken: list[npt.NDArray[np.float64]] | None = None
+    entry: Entry, batch: EnvBatch, taken: list[npt.NDArray[np.float64]] | None = None
 ) -> Iterator[npt.NDArray[np.bool_]]:
-    """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
+    """Play the started episodes to their ends; after every step, yield which environments made it, (num_envs,).
 
-    The process of an :class:`OnnxPolicy` is a new one. `taken` gets the actions of every step, (n_lanes, n_action),
+    The process of an :class:`OnnxPolicy` is a new one. `taken` gets the actions of every step, (num_envs, n_action),
     zero once an episode is over. A policy that raises, ends, takes too long or returns no action is a PolicyError.
     """
-    running = np.ones(lanes.n_lanes, dtype=np.bool_)
+    running = np.ones(batch.num_envs, dtype=np.bool_)
     state: Any = None
     step = 0
     with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
         while running.any():
-            actions = np.zeros((lanes.n_lanes, lanes.n_action))
+            actions = np.zeros((batch.num_envs, batch.n_action))
             if entry.policy is not None:
-                actions, state = answer(entry, lanes, state, step, running)
+                actions, state = answer(entry, batch, state, step, running)
             if taken is not None:
                 taken.append(actions)
-            lanes.step(actions)
+            batch.step(actions)
             yield running
-            terminated, truncated = lanes.ended()
+            terminated, truncated = batch.ended()
             running = ~(terminated | truncated)
             step += 1
 
 
 def answer(
-    entry: Entry, lanes: TaskLanes, state: Any, step: int, running: npt.NDArray[np.bool_]
+    entry: Entry, batch: EnvBatch, state: Any, step: int, running: npt.NDArray[np.bool_]
 ) -> tuple[npt.NDArray[np.float64], Any]:
-    """Return the policy's checked actions (n_lanes, n_action) in a step, and its next recurrent state."""
-    # For a policy of one group, each is a lane: local observations are those of one group after the other.
-    n_parts = lanes.n_wtg if entry.per_group else 1
-    policy, shape = cast(Policy, entry.policy), (lanes.n_lanes * n_parts, lanes.n_action // n_parts)
-    seen, start = lanes.observations.reshape(shape[0], -1).copy(), np.full(shape[0], step == 0)
+    """Return the policy's checked actions (num_envs, n_action) in a step, and its next recurrent state."""
+    # For a policy of one group, each is an environment: local observations are those of one group after the other.
+    n_parts = batch.n_wtg if entry.per_group else 1
+    policy, shape = cast(Policy, entry.policy), (batch.num_envs * n_parts, batch.n_action // n_parts)
+    seen, start = batch.observations.reshape(shape[0], -1).copy(), np.full(shape[0], step == 0)
     try:
         answer = policy.predict(seen, state=state, episode_start=start, deterministic=True)
     except NotIsolatedError:
@@ -96,12 +96,14 @@ def answer(
     if actions.dtype.kind not in "biuf":
         raise _complaint(entry, step, "actions must be an array of numbers", f"one of {actions.dtype}")
     if actions.shape != shape:
-        raise _complaint(entry, step, f"actions must have shape {shape} (lanes, values)", f"shape {actions.shape}")
-    actions = actions.astype(np.float64).reshape(lanes.n_lanes, lanes.n_action)
+        raise _complaint(
+            entry, step, f"actions must have shape {shape} (environments, values)", f"shape {actions.shape}"
+        )
+    actions = actions.astype(np.float64).reshape(batch.num_envs, batch.n_action)
     # The action of an episode that is over has no effect.
     actions[~running] = 0.0
-    for lane in np.flatnonzero(~np.isfinite(actions).all(axis=1))[:1]:
-        scenario = f"{actions[lane].tolist()} in the scenario of seed {lanes.scenario_seeds[lane]}"
+    for env in np.flatnonzero(~np.isfinite(actions).all(axis=1))[:1]:
+        scenario = f"{actions[env].tolist()} in the scenario of seed {batch.scenario_seeds[env]}"
         raise _complaint(entry, step, f"actions of shape {actions.shape} must be finite, -1 … 1", scenario)
     return actions, answer[1]
 

@@ -27,7 +27,7 @@ from wtg_gym.policies import onnx_worker
 from wtg_gym.policies.onnx_worker import ACTIONS, LENGTH
 
 Floats = npt.NDArray[np.float32]
-#: The recurrent states, (n_lanes, n) each.
+#: The recurrent states, (num_envs, n) each.
 States = tuple[Floats, ...]
 
 #: Address space [bytes] and processor time [s] of the process; it plays a batch of scenarios and then ends.
@@ -99,9 +99,9 @@ class OnnxPolicy:
     def predict(
         self, observation: Any, state: States | None = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Floats, States | None]:
-        """Return (actions (n_lanes, n_action), next states) for observations (n_lanes, n_observation).
+        """Return (actions (num_envs, n_action), next states) for observations (num_envs, n_observation).
 
-        The state is None at the beginning, and zero where an episode starts, (n_lanes,) bool. A NotIsolatedError says
+        The state is None at the beginning, and zero where an episode starts, (num_envs,) bool. A NotIsolatedError says
         that this system cannot isolate the process, though `isolated` is set, another PolicyError that the file is no
         policy, that shapes do not fit, or that the process ended or took too long.
         """
@@ -109,25 +109,25 @@ class OnnxPolicy:
         observations = np.ascontiguousarray(observation, dtype=np.float32)
         if observations.ndim != 2 or observations.shape[1] != n_observation:
             raise PolicyError(
-                f"the policy takes observations of shape (lanes, {n_observation}), got {observations.shape}: was it "
+                f"the policy takes observations of shape (num_envs, {n_observation}), got {observations.shape}: was it "
                 "trained with another action_mode, observation_mode or groups?"
             )
-        n_lanes = len(observations)
-        expected = [(n_lanes, width) for width in widths]
+        num_envs = len(observations)
+        expected = [(num_envs, width) for width in widths]
         states = tuple(np.zeros(shape, dtype=np.float32) for shape in expected) if state is None else state
         if [values.shape for values in states] != expected:
             raise PolicyError(f"the policy has states of shapes {expected}, got {[values.shape for values in states]}")
-        starts = np.zeros(n_lanes, np.bool_) if episode_start is None else np.asarray(episode_start, dtype=np.bool_)
+        starts = np.zeros(num_envs, np.bool_) if episode_start is None else np.asarray(episode_start, dtype=np.bool_)
         states = tuple(np.where(starts[:, None], np.float32(0.0), values) for values in states)
         try:
-            request = [LENGTH.pack(n_lanes), *(values.tobytes() for values in (starts, observations, *states))]
-            sizes = [4 * n_lanes * width for width in (n_action, *widths)]
+            request = [LENGTH.pack(num_envs), *(values.tobytes() for values in (starts, observations, *states))]
+            sizes = [4 * num_envs * width for width in (n_action, *widths)]
             answers = self._running().ask(b"".join(request), sizes, starts=bool(starts.any()))
         except BaseException:
             # The rest of an answer that was not read to its end would be taken for the next one.
             self.close()
             raise
-        action, *following = (np.frombuffer(data, dtype=np.float32).reshape(n_lanes, -1).copy() for data in answers)
+        action, *following = (np.frombuffer(data, dtype=np.float32).reshape(num_envs, -1).copy() for data in answers)
         return action, tuple(following) if following else None
 
     def _running(self) -> "PolicyProcess":

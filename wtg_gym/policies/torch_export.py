@@ -25,7 +25,7 @@ except ImportError as error:
 
 #: Old enough for every onnxruntime that is still around.
 _OPSET = 17
-_CHECKED_LANES, _CHECKED_STEPS = 16, 20
+_CHECKED_ENVS, _CHECKED_STEPS = 16, 20
 
 
 def export_onnx(
@@ -108,7 +108,7 @@ class TorchPolicy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_action), states), in the manner of Stable-Baselines3."""
+        """Return (actions (num_envs, n_action), states), in the manner of Stable-Baselines3."""
         widths = self._playable.state_widths
         states = [torch.zeros(len(observation), width) for width in widths] if state is None else state
         if episode_start is not None:
@@ -171,8 +171,8 @@ def _largest_difference(playable: _Playable, content: bytes, n_observation: int)
     largest, state, file_state = 0.0, None, None
     with OnnxPolicy(content) as policy:
         for step in range(_CHECKED_STEPS):
-            observations = rng.normal(0.0, 1.0, (_CHECKED_LANES, n_observation)).astype(np.float32)
-            start = np.full(_CHECKED_LANES, step == 0) | (rng.random(_CHECKED_LANES) < 0.1)
+            observations = rng.normal(0.0, 1.0, (_CHECKED_ENVS, n_observation)).astype(np.float32)
+            start = np.full(_CHECKED_ENVS, step == 0) | (rng.random(_CHECKED_ENVS) < 0.1)
             actions, state = module.predict(observations, state, start)
             try:
                 other, file_state = policy.predict(observations, file_state, start)

@@ -1,4 +1,4 @@
-"""Equations over units and lanes as machine code, forward and back.
+"""Equations over units and environments as machine code, forward and back.
 
 In the order in which they are best read:
 
@@ -6,7 +6,7 @@ In the order in which they are best read:
     systems         records of named numbers; kinds of unit, and systems: pure functions of one unit
     programs        ordered lists of equations and control blocks (if, loop, product, delay), and their memory map
     expressions     an equation becomes operations, and these pulled back
-    vectors         operations become instructions on the lanes of a block
+    vectors         operations become instructions on the environments of a block
     writers         loops over units, the tape, the way back
     routines        programs become machine code, kept on disk and called at an address
     compiled        functions with loops, compiled by numba; the cache

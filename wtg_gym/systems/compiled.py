@@ -244,7 +244,7 @@ def reporting(name: str) -> Iterator[None]:
 def compiled(function: F) -> F:
     """Compile a function with numba, releasing the GIL, cached on disk per source version.
 
-    No fast-math: reassociation or contraction would let a batched lane differ from the single environment.
+    No fast-math: reassociation or contraction would let a batched environment differ from the single environment.
     """
     compilation()
     return _kept(function)

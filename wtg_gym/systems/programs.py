@@ -51,30 +51,30 @@ class Product:
 
 @dataclass(frozen=True, eq=False)
 class _Flagged:
-    """Entries that a number of the lane lets run."""
+    """Entries that a number of the environment lets run."""
 
-    lane: Kind
+    env: Kind
     flag: str
     entries: tuple[Any, ...]
 
     def __post_init__(self) -> None:
         if not self.place.has_rows or self.place.record is not float:
-            raise TypeError(f"{self.flag!r} of {self.lane.name} is no single number that a lane has")
+            raise TypeError(f"{self.flag!r} of {self.env.name} is no single number that an environment has")
 
     @property
     def place(self) -> Place:
         """Where the number lies."""
-        return self.lane.find(self.flag)
+        return self.env.find(self.flag)
 
 
 @dataclass(frozen=True, eq=False)
 class When(_Flagged):
-    """Entries that run where a number of the lane is above zero in any lane of the block."""
+    """Entries that run where a number of the environment is above zero in any environment of the block."""
 
 
 @dataclass(frozen=True, eq=False)
 class Repeat(_Flagged):
-    """Entries that run, and again while a number of the lane is above zero in any lane, `most` times in all."""
+    """Entries that run, and again while a number of the environment is above zero in any, `most` times in all."""
 
     most: int
 

@@ -1,11 +1,11 @@
-"""Kinds of unit, and systems: pure functions of one unit in one lane.
+"""Kinds of unit, and systems: pure functions of one unit in one environment.
 
-A *kind* says what its units keep. Each part is a record, or a single number, and takes rows: of the lane where it lasts
-from step to step, or of a scratch that a thread shares between its lanes. A *system* names by its arguments the parts
-that it reads, and by `writes` those that its result replaces. It sees the parts of its own unit, and those of the units
-that its kind sees: the lane, the host of an attached unit, the two ends of a pair.
+A *kind* says what its units keep. Each part is a record, or a single number, and takes rows: of the environment where
+it lasts from step to step, or of a scratch that a thread shares between its environments. A *system* names by its
+arguments the parts that it reads, and by `writes` those that its result replaces. It sees the parts of its own unit,
+and those of the units that its kind sees: the environment, the host of an attached unit, the two ends of a pair.
 
-A system says nothing of loops, of how many units or lanes there are, nor where rows lie.
+A system says nothing of loops, of how many units or environments there are, nor where rows lie.
 """
 
 import functools
@@ -85,7 +85,7 @@ class Kind:
     """
 
     name: str  # in the plural; no other kind has it, and a copy is the same kind
-    rows: Mapping[str, Any] = field(default_factory=dict)  # parts that every lane keeps: record classes, or float
+    rows: Mapping[str, Any] = field(default_factory=dict)  # parts that an environment keeps: records, or float
     scratch: Mapping[str, Any] = field(default_factory=dict)  # parts that last for a control step only
     constants: Mapping[str, Any] = field(default_factory=dict)  # what is known of a unit before a run
     #: Other kinds whose parts its systems may name, by a label; of one that ends with "_" by full names only.

@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 from wtg_gym.physics.converter import tracking_coefficient
 from wtg_gym.physics.machine import MachineInput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import LANE
+from wtg_gym.physics.units import ENV
 from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import require_range
@@ -135,16 +135,16 @@ COST = Kind(
         "largest_deviation": float,  # of the frequency of any unit [p.u.]
     },
     constants={"weights": CostWeights},
-    sees={"task": TASK, "lane": LANE},
+    sees={"task": TASK, "env": ENV},
 )
 #: The part of a WTG group in the cost.
 GROUP_COST = Kind(
     name="costs of groups",
     scratch={"deviations": GroupDeviations},
-    sees={"acting": ACTING, "group": GROUPS, "cost": COST, "task": TASK, "lane": LANE},
+    sees={"acting": ACTING, "group": GROUPS, "cost": COST, "task": TASK, "env": ENV},
 )
 #: The part of a synchronous machine in the cost.
-MACHINE_COST = Kind(name="costs of machines", sees={"machine": MACHINES, "cost": COST, "task": TASK, "lane": LANE})
+MACHINE_COST = Kind(name="costs of machines", sees={"machine": MACHINES, "cost": COST, "task": TASK, "env": ENV})
 #: The duty error of a WTG group behind a filter.
 FILTERED_DUTY = Kind(
     name="filtered duties",
@@ -152,7 +152,7 @@ FILTERED_DUTY = Kind(
         "leaves_at": float,  # simulation step at which an event disconnects the group
         "mean_duty": float,  # signed, 0.05 of the available power
     },
-    sees={"charged": GROUP_COST, "task": TASK, "lane": LANE},
+    sees={"charged": GROUP_COST, "task": TASK, "env": ENV},
 )
 
 
@@ -344,7 +344,7 @@ def charge_open_interval(
 
 
 @system(COST, "terms", "sums", "own_cost", "constraint", "constraint_sum", "duty_error")
-def charge_lane(
+def charge_env(
     new_terms: CostTerms,
     terms: CostTerms,
     sums: CostTerms,

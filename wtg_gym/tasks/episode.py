@@ -7,7 +7,7 @@ Cost, sensors and observations (:mod:`wtg_gym.tasks.cost`, :mod:`wtg_gym.tasks.s
 import math
 from typing import NamedTuple
 
-from wtg_gym.physics.units import LANE
+from wtg_gym.physics.units import ENV
 from wtg_gym.physics.wind_turbine import WtgOutput, WtgState, frequency_of
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import clip, select
@@ -86,7 +86,7 @@ TASK = Kind(
         "begins": float,  # 1 where the newest interval is a new one
     },
     constants={"task": TaskConstants},
-    sees={"lane": LANE},
+    sees={"env": ENV},
     conditions=("modulates k", "modulates tau", "privileged", "observes exactly"),
 )
 #: The frequency of the centre of inertia at the ends of the latest control intervals, the oldest first.
@@ -94,14 +94,14 @@ HISTORY = Kind(name="history", rows={"frequency": float})
 #: Neighbours in the history: each takes the place of the one before it.
 SHIFTS = Kind(name="shifts", sees={"this_": HISTORY, "next_": HISTORY, "task": TASK})
 #: Both ends of the history.
-WINDOW = Kind(name="window", sees={"oldest_": HISTORY, "newest_": HISTORY, "task": TASK, "lane": LANE})
+WINDOW = Kind(name="window", sees={"oldest_": HISTORY, "newest_": HISTORY, "task": TASK, "env": ENV})
 #: The task of a WTG group.
 ACTING = Kind(
     name="acting groups",
     rows={"group": GroupRows},
     scratch={"wanted": Acted},
     constants={"reach": Reach},
-    sees={"group": GROUPS, "task": TASK, "lane": LANE},
+    sees={"group": GROUPS, "task": TASK, "env": ENV},
 )
 
 
@@ -177,5 +177,5 @@ def remember_group(
 
 @system(TASK, "active")
 def end_episode(active: float, was_active: float, step: float, end_step: float) -> float:
-    """Let a lane at its end stand still until it is started again."""
+    """Let an environment at its end stand still until it is started again."""
     return select((was_active > 0.5) & (step >= end_step - 0.5), 0.0, active)

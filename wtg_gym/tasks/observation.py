@@ -11,7 +11,7 @@ import numpy.typing as npt
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.sensors import Measurement
-from wtg_gym.physics.units import LANE
+from wtg_gym.physics.units import ENV
 from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import clip
@@ -100,7 +100,7 @@ class DutyObservation(NamedTuple):
 OBSERVED = Kind(
     name="observed groups",
     scratch={"observed": WtgObservation, "shown_actions": ActionObservation},
-    sees={"acting": ACTING, "group": GROUPS, "task": TASK, "lane": LANE},
+    sees={"acting": ACTING, "group": GROUPS, "task": TASK, "env": ENV},
 )
 OBSERVED_DUTY = Kind(
     name="observed duties", scratch={"shown_duty": DutyObservation}, sees={"filtered": FILTERED_DUTY, "task": TASK}
@@ -150,12 +150,12 @@ OBSERVED_GRID = Kind(
     name="observed grids",
     scratch={"total_torque": float, "grid_observed": GridObservation},  # torque of all machines [p.u.]
     constants={"inv_torque": float},  # 1 / what the torque is counted in [1/p.u.]
-    sees={"task": TASK, "lane": LANE},
+    sees={"task": TASK, "env": ENV},
 )
 OBSERVED_MACHINES = Kind(
     name="observed machines",
     scratch={"machine_observed": MachineObservation},
-    sees={"machine": MACHINES, "grid": OBSERVED_GRID, "task": TASK, "lane": LANE},
+    sees={"machine": MACHINES, "grid": OBSERVED_GRID, "task": TASK, "env": ENV},
 )
 
 
@@ -217,7 +217,7 @@ INFO_KEYS = (*Info._fields, *(f"cost_{term}" for term in COST_TERMS))
 INFO = Kind(
     name="information",
     scratch={"info": Info, "info_terms": CostTerms, "local_info": LocalInfo},  # each follows the one before
-    sees={"cost": COST, "task": TASK, "lane": LANE},
+    sees={"cost": COST, "task": TASK, "env": ENV},
 )
 
 

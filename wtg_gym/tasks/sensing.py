@@ -8,7 +8,7 @@ from typing import Annotated, NamedTuple
 
 from wtg_gym.physics import sensors as equations
 from wtg_gym.physics.sensors import Noise, SensorInput, SensorState
-from wtg_gym.physics.units import LANE
+from wtg_gym.physics.units import ENV
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import select
@@ -40,7 +40,7 @@ SENSED = Kind(
         "shown": MeasuredObservation,  # the newest measurement that has arrived
     },
     constants={"group_number": float},
-    sees={"acting": ACTING, "group": GROUPS, "sensors": SENSORS, "task": TASK, "lane": LANE},
+    sees={"acting": ACTING, "group": GROUPS, "sensors": SENSORS, "task": TASK, "env": ENV},
 )
 #: The latest measurements of every group, the oldest first, one group after the other.
 KEPT = Kind(name="kept measurements", rows={"measurement": MeasuredObservation}, sees={"sensed": SENSED})

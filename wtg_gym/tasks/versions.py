@@ -31,7 +31,7 @@ V0 = task.Task(
         episode.remember_group,
         Here(Joining.CHARGE),
         cost.charge_interval,
-        cost.charge_lane,
+        cost.charge_env,
     ),
     observe=_OBSERVE,
     of_groups=(observation.OBSERVED, "observed", "wtg"),
@@ -59,7 +59,7 @@ V1 = task.Task(
         episode.remember_group,
         Here(Joining.CHARGE),
         cost.charge_open_interval,
-        cost.charge_lane,
+        cost.charge_env,
     ),
     start_sensors=(sensing.draw_noise, sensing.start_sensors, sensing.measure_group, sensing.start_measurements),
     measure=(

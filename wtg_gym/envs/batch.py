@@ -1,4 +1,4 @@
-"""Episodes in lanes: what the single and the batched environment, and the evaluator, share."""
+"""A batch of environments: what the single and the vector environment, and the evaluator, share."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,12 +12,12 @@ import numpy.typing as npt
 from wtg_gym.envs.settings import EnvSettings, as_scenario
 from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, pay, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
-from wtg_gym.physics.layout import Floats, LaneData
+from wtg_gym.physics.layout import BatchData, Floats
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
-from wtg_gym.physics.simulator import PreparedLanes, Simulator
+from wtg_gym.physics.simulator import PreparedBatch, Simulator
 from wtg_gym.ranges import is_whole, whole_steps
 from wtg_gym.signals import undivided
 from wtg_gym.tasks import cost, episode, observation, sensing
@@ -41,32 +41,32 @@ _MOST_DRAWS = 200
 _BLOCKS_PER_EPISODE = 10
 
 
-#: Arrays with one row per lane: the outputs, then seeds, reserve margins and events, see :class:`TaskLanes`.
+#: Arrays with one row per environment: the outputs, then seeds, reserve margins and events, see :class:`EnvBatch`.
 Rows = tuple[npt.NDArray[Any], ...]
 
 
-class LanesSnapshot(NamedTuple):
-    """All state of lanes, and the settings that it belongs to."""
+class BatchSnapshot(NamedTuple):
+    """All state of a batch, and the settings that it belongs to."""
 
     settings: dict[str, Any]
-    physics: tuple[Floats, LaneData]
+    physics: tuple[Floats, BatchData]
     rows: Rows
 
 
 class PreparedEpisodes(NamedTuple):
     """Episodes that are ready to start."""
 
-    lanes: PreparedLanes
+    batch: PreparedBatch
     rows: Rows  # what they begin with
 
 
-class TaskLanes:
+class EnvBatch:
     """Episodes of an environment side by side: scenarios, simulator, observations and costs.
 
     `n_threads` step them, None for one per processor. A ValueError says that a setting is unknown or out of range.
     """
 
-    def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
+    def __init__(self, settings: EnvSettings, num_envs: int = 1, n_threads: int | None = None) -> None:
         self.settings = settings
         self.suite = settings.resolved_suite
         self.laws = settings.laws()
@@ -81,40 +81,40 @@ class TaskLanes:
         self.n_local = settings.task.n_local
         self.simulator = Simulator(
             plant,
-            n_lanes=n_lanes,
+            num_envs=num_envs,
             duration_s=self.duration_s,
             task=settings.task.units(settings.choices),
             n_threads=n_threads,
             intervals_at_once=settings.n_intervals,
         )
-        self.n_lanes = self.simulator.n_lanes
+        self.num_envs = self.simulator.num_envs
         self.nominal_hz = plant.case.frequency_hz
         points = 100.0 / (settings.task.scale or 1.0) if settings.scores else 0.0
         self.task_data = task_data(settings.task, settings.choices, self.simulator.layout, settings.n_intervals, points)
         #: Control steps of an episode.
         self.n_steps_of_episode = whole_steps("duration_s", self.duration_s, settings.step_s, "control step")
         #: The law that scores 100, whose costs rewards are compared with.
-        self._reference: TaskLanes | None = None
+        self._reference: EnvBatch | None = None
         self._check_time_constants()
         self._check_draws()
         acts = zip(("k", "tau"), episode.ACTION_MODES[settings.action_mode], strict=True)
         modes = [name for name, is_acted in acts if is_acted]
         self.action_names = [f"wtg{group}.{name}" for group in range(self.n_wtg) for name in modes]
         self.n_action = len(self.action_names)
-        self.outputs = self._new_outputs(n_lanes)
-        # A lane without an episode waits for a reset, as one whose episode is over.
+        self.outputs = self._new_outputs(num_envs)
+        # An environment without an episode waits for a reset, as one whose episode is over.
         self.outputs.truncated[:] = True
-        #: Observations (n_lanes, n_observation) and rewards (n_lanes,): arrays that the next step writes into.
+        #: Observations (num_envs, n_observation) and rewards (num_envs,): arrays that the next step writes into.
         self.observations, self.rewards = self.outputs.observations, self.outputs.rewards
-        self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
-        #: Scenarios that were drawn for each lane and could not start.
-        self.redrawn = np.zeros(n_lanes, dtype=np.int64)
-        #: Of each lane's episode, see :mod:`wtg_gym.scenarios.margin`; NaN where the suite has no margins.
-        self.reserve_margins = np.full(n_lanes, np.nan)
-        #: Events of each lane's episode, in their order: tuples of them.
-        self.events = _objects([()] * n_lanes)
+        self.scenario_seeds = np.full(num_envs, -1, dtype=np.int64)
+        #: Scenarios that were drawn for each environment and could not start.
+        self.redrawn = np.zeros(num_envs, dtype=np.int64)
+        #: Of each environment's episode, see :mod:`wtg_gym.scenarios.margin`; NaN where the suite has no margins.
+        self.reserve_margins = np.full(num_envs, np.nan)
+        #: Events of each environment's episode, in their order: tuples of them.
+        self.events = _objects([()] * num_envs)
         self._bound: Any = None
-        self._no_reasons = np.full(n_lanes, "", dtype=object)
+        self._no_reasons = np.full(num_envs, "", dtype=object)
         self._no_reasons.setflags(write=False)
         self._seeds = self.suite.seeds(settings.split)
         self._fixed = settings.fixed_scenario()
@@ -133,14 +133,14 @@ class TaskLanes:
 
     @property
     def started(self) -> bool:
-        """Whether every lane has been started."""
+        """Whether every environment has been started."""
         return bool((self.task_values("end_step") > 0.0).all())
 
     @cached_property
     def _of_episodes(self) -> dict[str, Any]:
         """Settings that a running episode depends on; where its scenario was drawn from is none of them."""
         return {
-            "num_envs": self.n_lanes,
+            "num_envs": self.num_envs,
             "strategy": self.laws,
             "duration_s": self.duration_s,
             "weights": self.settings.cost_weights(),
@@ -197,13 +197,13 @@ class TaskLanes:
         return self.scenarios([value])[0] if is_whole(value) else as_scenario(name, value)
 
     def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
-        """Find the equilibria that episodes of scenarios start from; no running lane is touched.
+        """Find the equilibria that episodes of scenarios start from; no running environment is touched.
 
         `turning`, for scenarios given by the user, refuses a rotor that would start below the under-speed trip. A
         ValueError says that a scenario does not fit the plant or the episode length, or has no such equilibrium.
         """
         try:
-            lanes = self.simulator.prepare(scenarios, self.laws, turning=turning)
+            envs = self.simulator.prepare(scenarios, self.laws, turning=turning)
         except StartError as error:
             if self.settings.draws_again:
                 advice = "`wtg-gym grid check` says how many of its scenarios start"
@@ -212,28 +212,28 @@ class TaskLanes:
         durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
         step_s, plant = self.settings.step_s, self.settings.resolved_plant
         n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in durations])
-        outputs = self._start_tasks(lanes, scenarios, n_steps)
+        outputs = self._start_tasks(envs, scenarios, n_steps)
         if self.settings.scores:
             if self._reference is None:
                 changes: dict[str, Any] = {"observation_mode": "local", "reward": "cost", "duration_s": self.duration_s}
                 settings = replace(self.settings, strategy=self.settings.task.hundred, **changes)
-                n_lanes, n_threads = min(self.n_lanes, EPISODES_AT_ONCE), self.simulator.threads.n_threads
-                self._reference = TaskLanes(settings, n_lanes, n_threads)
+                num_envs, n_threads = min(self.num_envs, EPISODES_AT_ONCE), self.simulator.threads.n_threads
+                self._reference = EnvBatch(settings, num_envs, n_threads)
             # What the law that scores 100 has paid up to each control step.
-            for first in range(0, len(scenarios), self._reference.n_lanes):
-                batch = scenarios[first : first + self._reference.n_lanes]
+            for first in range(0, len(scenarios), self._reference.num_envs):
+                batch = scenarios[first : first + self._reference.num_envs]
                 self._reference.start(range(len(batch)), batch)
                 self._reference.pay(outputs.reference[first : first + len(batch)])
             outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         seeds = np.array([-1 if scenario.seed is None else scenario.seed for scenario in scenarios], dtype=np.int64)
         margins = np.array([self.suite.margin(scenario, plant) for scenario in scenarios])
         events = _objects([tuple(sorted(each.events, key=lambda event: event.time_s)) for each in scenarios])
-        return PreparedEpisodes(lanes, (*outputs, seeds, margins, events))
+        return PreparedEpisodes(envs, (*outputs, seeds, margins, events))
 
-    def next_episode(self, rng: np.random.Generator, lane: int, scenario: Scenario | None = None) -> PreparedEpisodes:
-        """Return a lane's next episode: the first that starts of the scenarios that its generator draws.
+    def next_episode(self, rng: np.random.Generator, env: int, scenario: Scenario | None = None) -> PreparedEpisodes:
+        """Return an environment's next episode: the first that starts of the scenarios that its generator draws.
 
-        One may be drawn already. Those that do not start are counted for the lane. A ValueError says that the
+        One may be drawn already. Those that do not start are counted for the environment. A ValueError says that the
         environment's one scenario does not start, or none of many drawn ones.
         """
         refusal: Exception | None = None
@@ -244,17 +244,17 @@ class TaskLanes:
                 if self._fixed is not None:
                     raise
                 refusal, scenario = error, None
-                self.redrawn[lane] += 1
+                self.redrawn[env] += 1
         raise StartError(f"none of {_MOST_DRAWS} drawn scenarios starts; of the last one: {refusal}") from refusal
 
-    def _new_outputs(self, n_lanes: int) -> Outputs:
-        return new_outputs(n_lanes, self.n_observation, self.n_steps_of_episode if self.settings.scores else -1)
+    def _new_outputs(self, num_envs: int) -> Outputs:
+        return new_outputs(num_envs, self.n_observation, self.n_steps_of_episode if self.settings.scores else -1)
 
     def _start_tasks(
-        self, lanes: PreparedLanes, scenarios: Sequence[Scenario], n_steps: npt.NDArray[np.int64]
+        self, envs: PreparedBatch, scenarios: Sequence[Scenario], n_steps: npt.NDArray[np.int64]
     ) -> Outputs:
-        """Write the task's rows of prepared lanes; return what their episodes begin with."""
-        simulator, layout, rows = self.simulator, self.simulator.layout, lanes.rows
+        """Write the task's rows of prepared runs; return what their episodes begin with."""
+        simulator, layout, rows = self.simulator, self.simulator.layout, envs.rows
         rows[:, layout.first_rows(episode.TASK, "end_step")[0]] = n_steps * self.n_substeps
         rows[:, layout.first_rows(episode.HISTORY, "frequency")] = 1.0
         group = layout.first_rows(episode.ACTING, "group")
@@ -270,7 +270,7 @@ class TaskLanes:
             rows[:, places] = numbers
         outputs = self._new_outputs(len(rows))
         blocks, scratches = rows[:, :, np.newaxis], simulator.new_scratches(1, 1)
-        bound = bind(blocks, scratches, simulator.plant.network, lanes.data, self.task_data, outputs)
+        bound = bind(blocks, scratches, simulator.plant.network, envs.data, self.task_data, outputs)
         step_blocks(bound, np.zeros((0, self.n_action)), 0, len(rows), 0, True)
         return outputs
 
@@ -293,39 +293,39 @@ class TaskLanes:
     @undivided
     def start(
         self,
-        lanes: Sequence[int],
+        envs: Sequence[int],
         episodes: Sequence[Scenario] | PreparedEpisodes,
         places: Sequence[int] | None = None,
     ) -> None:
-        """Start episodes in lanes, one each: some `places` of those that :meth:`prepare` returned, or scenarios."""
+        """Start one episode in each: some `places` of those that :meth:`prepare` returned, or scenarios."""
         if not isinstance(episodes, PreparedEpisodes):
             episodes = self.prepare(episodes)
         # The arrays are new after a snapshot, or with more events than before.
         self._bound = None
-        index = np.array(lanes, dtype=np.int64)
+        index = np.array(envs, dtype=np.int64)
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
-        self.simulator.start(index, episodes.lanes, places=taken)
+        self.simulator.start(index, episodes.batch, places=taken)
         for array, first in zip(self._rows, episodes.rows, strict=True):
             array[index] = first[taken]
         outputs = self.outputs
         outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False
 
-    def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
-        """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""
+    def stop(self, envs: npt.NDArray[np.bool_]) -> None:
+        """End the episodes of a mask's environments, as if their time were over; shape (num_envs,)."""
         steps = self.n_steps()
-        for lane in np.flatnonzero(lanes):
-            if self.settings.scores and not (self.outputs.terminated[lane] or self.outputs.truncated[lane]):
+        for env in np.flatnonzero(envs):
+            if self.settings.scores and not (self.outputs.terminated[env] or self.outputs.truncated[env]):
                 # Later costs of the reference do not count; what counts makes up for the logarithm now.
                 out = self.outputs
-                out.reference[lane, -1] = out.reference[lane, steps[lane]]
-                gained = log_score(out.reference[lane, -1], float(self.cost_sums()[lane].sum()), out.offsets[lane])
-                out.rewards[lane] += self.task_data.points * (gained - out.gained[lane])
-                out.gained[lane] = gained
-            self.simulator.stop(int(lane))
-            self.outputs.truncated[lane] = not self.outputs.terminated[lane]
+                out.reference[env, -1] = out.reference[env, steps[env]]
+                gained = log_score(out.reference[env, -1], float(self.cost_sums()[env].sum()), out.offsets[env])
+                out.rewards[env] += self.task_data.points * (gained - out.gained[env])
+                out.gained[env] = gained
+            self.simulator.stop(int(env))
+            self.outputs.truncated[env] = not self.outputs.terminated[env]
 
     def step(self, actions: Floats, meanwhile: Callable[[], Any] | None = None, n_prepared: int = 0) -> None:
-        """Step every running lane by actions (n_lanes, n_action).
+        """Step every running environment by actions (num_envs, n_action).
 
         Results are in `observations`, `rewards` and :meth:`ended`. `meanwhile` is called once, while other threads step
         where there are several, and prepares `n_prepared` episodes. A ValueError says that an action is not finite;
@@ -338,10 +338,10 @@ class TaskLanes:
         if alone:
             invalid = step_blocks(bound, actions, 0, 1, 0, False)
         else:
-            # Before any lane has been stepped.
+            # Before any environment has been stepped.
             invalid = -1 if np.isfinite(actions).all() else int(np.argwhere(~np.isfinite(actions))[0, 0])
         if invalid >= 0:
-            where = f" of lane {invalid}" if self.n_lanes > 1 else ""
+            where = f" of environment {invalid}" if self.num_envs > 1 else ""
             raise ValueError(f"action {actions[invalid].tolist()}{where} is not finite; allowed: -1 … 1")
         if not alone:
             simulator.threads.run(
@@ -356,11 +356,11 @@ class TaskLanes:
     def pay(self, paid: Floats) -> None:
         """Play episodes that have just been started without actions; write their costs up to each control step.
 
-        `paid` is (n_lanes, n_steps + 1), of the first lanes.
+        `paid` is (num_envs, n_steps + 1), of the first environments.
         """
         if self._bound is None:
             self._bind()
-        bound, actions = self._bound, np.zeros((self.n_lanes, self.n_action))
+        bound, actions = self._bound, np.zeros((self.num_envs, self.n_action))
         self.simulator.threads.run(lambda first, last, worker: pay(bound, actions, paid, first, last, worker))
 
     @undivided
@@ -372,30 +372,30 @@ class TaskLanes:
         )
 
     def statuses(self) -> npt.NDArray[np.int64]:
-        """Return why each lane ended (:class:`Status`), RUNNING (0) where it did not or its time was over."""
-        return self.simulator.lane_values("status").astype(np.int64)
+        """Return why each environment ended (:class:`Status`), RUNNING (0) where it did not or its time was over."""
+        return self.simulator.env_values("status").astype(np.int64)
 
     def ended(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Return (terminated, truncated) per lane: copies. A lane that was never started is truncated."""
+        """Return (terminated, truncated) per environment: copies. One that was never started is truncated."""
         return self.outputs.terminated.copy(), self.outputs.truncated.copy()
 
     def n_steps(self) -> npt.NDArray[np.int64]:
-        """Return the control steps of each lane's episode so far, (n_lanes,); one that it ended within counts whole."""
-        steps = self.simulator.lane_values("step") / self.n_substeps
+        """Return the control steps of each episode so far, (num_envs,); one that it ended within counts whole."""
+        steps = self.simulator.env_values("step") / self.n_substeps
         return np.ceil(steps).astype(np.int64)
 
     def task_values(self, name: str) -> Floats:
-        """Return a number of the task or the cost of every environment by its name, (n_lanes,)."""
+        """Return a number of the task or the cost of every environment by its name, (num_envs,)."""
         kind = episode.TASK if name in episode.TASK.rows else cost.COST
         return self.simulator.values(self.simulator.layout.first_rows(kind, name)[0])
 
     def cost_sums(self) -> Floats:
-        """Return each lane's costs of the episode so far, (n_lanes, n_terms), in the order of `COST_TERMS`."""
+        """Return each environment's costs of the episode so far, (num_envs, n_terms), in the order of `COST_TERMS`."""
         first = self.simulator.layout.first_rows(cost.COST, "sums")[0]
         return np.stack([self.simulator.values(first + i) for i in range(len(cost.CostTerms._fields))], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""
+        """Return the keys of `info` as arrays over environments: copies, except the reasons while none has failed."""
         arrays: dict[str, npt.NDArray[Any]] = dict(zip(self.info_names, self.outputs.infos.T.copy(), strict=False))
         arrays["scenario_seed"] = self.scenario_seeds.copy()
         if self.suite.margins:
@@ -409,7 +409,7 @@ class TaskLanes:
         return arrays
 
     def info(self) -> dict[str, Any]:
-        """Return `info` of the first lane as numpy's floats, a whole number and text."""
+        """Return `info` of the first environment as numpy's floats, a whole number and text."""
         # numpy.float64 is a subclass of float, and has the dtype that TorchRL asks for.
         # strict=True would take a tenth of the shortest step.
         info: dict[str, Any] = dict(zip(self.info_names, self.outputs.infos[0], strict=False))
@@ -424,9 +424,9 @@ class TaskLanes:
 
     def close(self) -> None:
         """Stop the threads."""
-        for lanes in (self, self._reference):
-            if lanes is not None:
-                lanes.simulator.close()
+        for envs in (self, self._reference):
+            if envs is not None:
+                envs.simulator.close()
 
     def __getstate__(self) -> dict[str, Any]:
         # Addresses are those of this object's arrays.
@@ -436,11 +436,11 @@ class TaskLanes:
         self.__dict__.update(state)
         self.simulator.link(self.settings.task.units(self.settings.choices))
 
-    def snapshot(self) -> LanesSnapshot:
+    def snapshot(self) -> BatchSnapshot:
         """Return a copy of everything that changes."""
-        return LanesSnapshot(self._of_episodes, self.simulator.snapshot(), tuple(array.copy() for array in self._rows))
+        return BatchSnapshot(self._of_episodes, self.simulator.snapshot(), tuple(array.copy() for array in self._rows))
 
-    def restore(self, snapshot: LanesSnapshot) -> None:
+    def restore(self, snapshot: BatchSnapshot) -> None:
         """Go back to a :meth:`snapshot`; a ValueError refuses that of an environment with other settings."""
         settings, physics, rows = snapshot
         if different := [name for name, value in self._of_episodes.items() if settings[name] != value]:
