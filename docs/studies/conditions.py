@@ -15,7 +15,8 @@ from wtg_gym.scenarios import get_suite
 
 SUITE = "standard-v1"
 LAWS = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law")
-POLICIES = (*(f"dagger-v1-{seed}" for seed in range(5)), *(f"ppo-v1-{seed}" for seed in range(3)))
+SEEDS = {"evolution": 5, "dagger": 5, "gradient": 2, "ppo": 3}
+POLICIES = [f"{name}-v1-{seed}" for name, n_seeds in SEEDS.items() for seed in range(n_seeds)]
 #: A network that sees the exact state, and scenarios that a planner with it plays: three seconds of a core each.
 EXACT, N_PLANNED = "exact-state-v1-0", 90
 Row = tuple[str, str, str, str]
@@ -56,15 +57,15 @@ def paid_in_full(results: Results) -> Row:
 
 
 def operator_agrees(results: Results) -> Row:
-    """Compare bad runs of every two entries, of the first training seed."""
-    runs = {name: runs[:1] for name, runs in results.runs.items()}
-    bad = {name: lost_or_beyond(episodes, get_suite(SUITE).nominal_hz) for name, episodes in runs.items()}
+    """Compare bad runs of every two entries with the mark, of all training seeds."""
+    bad = {name: lost_or_beyond(runs, get_suite(SUITE).nominal_hz) for name, runs in results.runs.items()}
+    shares = {name: f"{name} ({100.0 * runs.mean():.1f} %)" for name, runs in bad.items()}
     pairs = [
-        f"{above.name} over {below.name}"
-        for above, below in itertools.combinations(results.ranking, 2)
+        f"{shares[above.name]} over {shares[below.name]}"
+        for above, below in itertools.combinations([row for row in results.ranking if row.marked], 2)
         if sign_test(bad[above.name], bad[below.name]) < 0.05
     ]
-    demand = "of two entries whose bad runs differ significantly, the worse one is not ranked above"
+    demand = "on test scenarios no entry with ✓ is ranked above one with significantly fewer bad runs (5 %)"
     return "an operator agrees", demand, ", ".join(pairs) or "no such pair", verdict(not pairs)
 
 
@@ -81,7 +82,7 @@ def saves_runs(results: Results) -> Row:
     suite = get_suite(SUITE)
     short = [suite.stratum(seed) == "short" for seed in results.seeds]
     good = {name: 1.0 - lost_or_beyond(runs, suite.nominal_hz)[:, short] for name, runs in results.runs.items()}
-    best = next(row.name for row in results.ranking if row.kind == "learned")
+    best = next(row.name for row in results.ranking if row.kind == "learned" and not row.privileged)
     laws = [row.name for row in results.ranking if row.name in LAWS and row.marked]
     chances = {name: sign_test(good[best], good[name]) for name in laws}
     shares = [f"{100.0 * (1.0 - good[name].mean()):.0f} % {name} (p = {p:.2g})" for name, p in chances.items()]
@@ -97,9 +98,9 @@ def verdict(holds: bool) -> str:
 def main() -> None:
     docs = output_folder(__doc__)
     results = evaluate([*LAWS, *POLICIES, EXACT], SUITE, "validation")
-    rows = [condition(results) for condition in (room, paid_in_full, operator_agrees)]
-    results = evaluate([*LAWS, *POLICIES], SUITE, "test")
-    rows += [condition(results) for condition in (sharp, saves_runs)]
+    rows = [condition(results) for condition in (room, paid_in_full)]
+    results = evaluate([*LAWS, *POLICIES, EXACT], SUITE, "test")
+    rows += [condition(results) for condition in (operator_agrees, sharp, saves_runs)]
     update_between_markers(
         docs / "benchmark.md", markdown_table(("condition", "demand", "measured", ""), rows), "conditions"
     )

@@ -1,10 +1,11 @@
 """Mean gains of the control variates over the distribution of every suite of v1, which scores are adjusted by.
 
-    python docs/studies/law_means.py [SUITE …] [--scenarios N]
+    python docs/studies/law_means.py [SUITE …] [--fresh N]
 
-plays the laws of `Task.variates` and the one that scores 100 on the last N training scenarios of each suite (default:
-all drawn suites of v1, 60,000 each), one process per processor, and writes wtg_gym/evaluation/law_means.json. Means of
-suites that are not named stay, where their laws are the same.
+plays the laws of `Task.variates` and the one that scores 100 on the last 24,000 training scenarios of each suite
+(default: all drawn suites of v1), one process per processor, and writes wtg_gym/evaluation/law_means.json. Means of
+suites that are not named stay, where their laws are the same. With `--fresh` it plays the N scenarios before those, and
+prints how many standard errors their means are away from the stored ones.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.scenarios import SUITES, get_suite
 from wtg_gym.tasks import V1
 
-N_SCENARIOS = 60_000
+N_SCENARIOS = 24_000
 #: Scenarios that a process plays at a time.
 _AT_ONCE = 120
 
@@ -44,11 +45,11 @@ def gains_of(name, seeds):
     return gains(np.array([costs[law] for law in suite.task.variates]), costs[suite.task.hundred], offsets).T
 
 
-def law_means(name, n_scenarios=N_SCENARIOS):
-    """Return what :data:`LAW_MEANS` holds of a suite."""
+def law_means(name, n_fresh=0):
+    """Return what :data:`LAW_MEANS` holds of a suite, or the same of the scenarios before."""
     suite = get_suite(name)
     # The first ones are what entries train on.
-    seeds = suite.train[-n_scenarios:]
+    seeds = suite.train[-N_SCENARIOS - n_fresh : -N_SCENARIOS if n_fresh else None]
     parts = [list(seeds[first : first + _AT_ONCE]) for first in range(0, len(seeds), _AT_ONCE)]
     with ProcessPoolExecutor() as pool:
         x = np.concatenate(list(pool.map(gains_of, itertools.repeat(name), parts)))
@@ -73,17 +74,22 @@ def main():
     suites = [name for name, suite in SUITES.items() if suite.task is V1 and suite.strata]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("suites", nargs="*", default=suites, metavar="SUITE")
-    parser.add_argument("--scenarios", type=int, default=N_SCENARIOS, metavar="N", help="(default: %(default)s)")
+    parser.add_argument("--fresh", type=int, default=0, metavar="N", help="compare so many other scenarios")
     arguments = parser.parse_args()
     for name in arguments.suites:
-        means = law_means(name, arguments.scenarios)
+        means = law_means(name, arguments.fresh)
         stored = json.loads(LAW_MEANS.read_text(encoding="utf-8"))
-        kept = {suite: values for suite, values in stored.items() if values["laws"] == list(V1.variates)}
-        write_atomically(LAW_MEANS, to_json({**kept, name: means}))
+        if not arguments.fresh:
+            kept = {suite: values for suite, values in stored.items() if values["laws"] == list(V1.variates)}
+            write_atomically(LAW_MEANS, to_json({**kept, name: means}))
         for stratum, values in means["strata"].items():
-            errors = np.sqrt(np.diag(values["covariance"]) / values["n"])
-            laws = zip(means["laws"], values["mean"], errors, strict=True)
-            print(name, stratum, values["n"], *(f"{law} {mean:.4f} ± {error:.4f}" for law, mean, error in laws))
+            known = stored[name]["strata"][stratum] if arguments.fresh else {**values, "n": np.inf}
+            errors = np.sqrt(np.diag(values["covariance"]) * (1.0 / values["n"] + 1.0 / known["n"]))
+            away = np.subtract(values["mean"], known["mean"]) / errors
+            for law, mean, error, z in zip(means["laws"], values["mean"], errors, away, strict=True):
+                print(
+                    f"{name} {stratum}: {values['n']} scenarios, {law} {mean:.4f} ± {error:.4f}, {z:+.1f} errors away"
+                )
 
 
 if __name__ == "__main__":

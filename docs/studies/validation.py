@@ -26,7 +26,7 @@ FINE_S = 0.00125  # half of it changes a golden run by less than a tenth of its 
 STEPS_S = (0.0025, 0.005, 0.01, 0.02, DEFAULT_S, 0.1 / 3.0)  # each divides the control step of 0.1 s
 EXACT_S = 0.0005  # the run that the others are compared with [s]
 N_SCENARIOS = 100
-RUNS = {"v0": 0.0, "v1": 0.0, "v1, random actions": 1.0}  # and how far actions go to either side
+RUNS = {"v0": 0.0, "v1": 0.0, "v1, random actions held for 0.5 s": 1.0}  # and how far actions go to either side
 QUANTITIES = {"frequency": "Hz", "rotor speed": "p.u.", "power": "p.u."}
 
 
