@@ -43,6 +43,8 @@ class ReserveMargin:
             for group, turbine in sizes
         ]
         governed = [m for m in case.machines if m.governor is not None]
+        #: Most that each machine's turbine gives, as a share of its rating.
+        self._most = [gate_limits(m.governor)[1] if m.governor else 0.0 for m in case.machines]
         if not plant.shares_dispatch:
             governed = [m for m in governed if m.bus == case.slack_bus]
         total = sum(_size(machine) for machine in governed)
@@ -93,11 +95,11 @@ class ReserveMargin:
         wind_mw = zip(self._groups, self._wind_mw(scenario, time_s, time_s + WIND_S), strict=True)
         supplies = [(bus, power_mw) for j, ((bus, _, _), power_mw) in enumerate(wind_mw) if j not in away]
         fall = DEVIATION_HZ / self._case.frequency_hz
-        for machine, power_mw in zip(self._case.machines, at_start_mw, strict=True):
+        for machine, most, power_mw in zip(self._case.machines, self._most, at_start_mw, strict=True):
             if machine.governor is not None and machine.bus not in stuck:
                 rating_mw = machine.rating_mva * scenario.committed
                 raised_mw = power_mw + fall / (scenario.governor_droop or machine.governor.droop_pu) * rating_mw
-                power_mw = max(power_mw, min(raised_mw, gate_limits(machine.governor)[1] * rating_mw))
+                power_mw = max(power_mw, min(raised_mw, most * rating_mw))
             if machine.bus not in lost:
                 supplies.append((machine.bus, power_mw))
         opened = tuple(sorted({branch for event in past for branch in _opened(event, time_s, self._case)}))
