@@ -64,6 +64,14 @@ def vector(name, n_envs):
     return lambda: envs.step(actions[next(count) % 8]), n_envs, step_s
 
 
+def between_resets(grid, n_envs):
+    """Step a batch of v1 on another grid by 0.1 s, without the reference's play, in episodes that do not end here."""
+    envs = GFMWTGVectorEnv(n_envs, grid=grid, control_dt=0.1, reward="cost", duration_s=300.0)
+    envs.reset(seed=0)
+    actions = np.zeros(envs.action_space.shape, dtype=np.float32)
+    return lambda: envs.step(actions), n_envs, 0.1
+
+
 def gradients(version, num_envs):
     """Play a minute and go back to the gradient of their cost with respect to every action."""
     tape = Tape(EnvSettings(version=version), num_envs)
@@ -92,6 +100,7 @@ def cases():
             )
     for name, grid in (("IEEE 39", "ieee39"), ("Nordic 45", "nordic45")):
         prepared[f"{name}, vector of 1024"] = functools.partial(vector, EnvSettings(grid=grid).suite_name, 1024)
+    prepared["IEEE 39 between resets, steps of 0.1 s"] = functools.partial(between_resets, "ieee39", 1024)
     for version in OURS:
         prepared[f"{version}, gradients of 64"] = functools.partial(gradients, version, 64)
     prepared["v0, PPO on the SB3 adapter of 1024"] = lambda: training(SB3VecEnv(1024, version="v0"), 1024)

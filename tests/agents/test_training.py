@@ -10,6 +10,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -32,6 +33,8 @@ from wtg_gym.files import sha256
 from wtg_gym.policies.entry_folder import policy_folders
 from wtg_gym.policies.gate import check_submission
 from wtg_gym.sb3 import SB3VecEnv
+from wtg_gym.tasks.episode import ACTION_MODES
+from wtg_gym.tasks.observation import OBSERVATION_MODES
 
 NEW = ("--output", "new")
 #: Names of names, nine of each: a billion values of a few hundred characters.
@@ -358,3 +361,9 @@ def test_every_group_acts_by_what_it_sees_itself_its_size_among_it(suite):
         size = (turbines[group] / turbines.mean()).expand(3, 1)
         (expected,) = agent(torch.cat([observations[:, width * group : width * (group + 1)], size], dim=1))
         assert torch.allclose(result[:, 2 * group : 2 * group + 2], expected)
+
+
+def test_modes_of_the_commands_are_those_of_the_environment():
+    hints = get_type_hints(RunSettings)
+    assert get_args(hints["action_mode"]) == tuple(ACTION_MODES)
+    assert get_args(hints["observation_mode"]) == OBSERVATION_MODES
