@@ -190,7 +190,7 @@ def test_wrong_signature_is_refused_when_loaded(inputs, outputs, text):
 
 def test_wrong_shapes_are_named():
     policy = counter()
-    with pytest.raises(PolicyError, match=r"shape \(environments, 20\), got \(2, 18\).*action_mode"):
+    with pytest.raises(PolicyError, match=r"shape \(num_envs, 20\), got \(2, 18\).*action_mode"):
         policy.predict(np.zeros((2, 18)))
     with pytest.raises(PolicyError, match=r"states of shapes \[\(3, 4\)\], got \[\(2, 4\)\]"):
         policy.predict(np.zeros((3, models.N)), (np.zeros((2, 4), dtype=np.float32),))
