@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 RECORDS = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
 PICTURE = PAGE.parent / "images" / "training"
-_SEED_AND_FOLDER = re.compile(r" --(seed|output) \S+")
+#: What differs between the commands of several seeds.
+_OF_A_SEED = ((re.compile(r" --(seed|output) \S+"), ""), (re.compile(r"( --start \S+-)\d+"), r"\1SEED"))
 _COLUMNS = ("policy", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
 
 
@@ -68,11 +69,15 @@ def table() -> str:
                 _range([training["steps"] / 1e6 for training in trainings]),
                 _range([training["validation_score"] for training in trainings]),
                 _range([training["wall_time_s"] / 60 for training in trainings if "wall_time_s" in training]),
-                f"`{_SEED_AND_FOLDER.sub('', trainings[0]['command'])}`" if trainings else "",
+                f"`{_without_seed(trainings[0]['command'])}`" if trainings else "",
                 ", ".join(dict.fromkeys(f"`{training['git_commit'][:8]}`" for training in trainings)),
             ]
         )
     return files.markdown_table(_COLUMNS, rows, right=(1, 2, 3, 4))
+
+
+def _without_seed(command: str) -> str:
+    return functools.reduce(lambda text, part: part[0].sub(part[1], text), _OF_A_SEED, command)
 
 
 @printed
