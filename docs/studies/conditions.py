@@ -17,6 +17,7 @@ SUITE = "standard-v1"
 LAWS = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law")
 SEEDS = {"evolution": 5, "dagger": 5, "gradient": 2, "ppo": 3}
 POLICIES = [f"{name}-v1-{seed}" for name, n_seeds in SEEDS.items() for seed in range(n_seeds)]
+FIRST = [f"{name}-v1-0" for name in SEEDS]
 #: A network that sees the exact state, and scenarios that a planner with it plays: three seconds of a core each.
 EXACT, N_PLANNED = "exact-state-v1-0", 90
 Row = tuple[str, str, str, str]
@@ -46,12 +47,12 @@ def against_law(results: Results, name: str) -> tuple[str, bool]:
 
 def paid_in_full(results: Results) -> Row:
     """Score entries in episodes that last a minute longer."""
-    longer = evaluate(list(LAWS), SUITE, "validation", duration_s=240.0).scores
-    marked = [row.name for row in results.ranking if row.marked and row.name in LAWS]
+    longer = evaluate([*LAWS, *FIRST], SUITE, "validation", duration_s=240.0).scores
+    marked = [row.name for row in results.ranking if row.marked and row.name in longer]
     changes = sorted(
         ((longer[name].value - results.scores[name].value, name) for name in marked), key=lambda c: -abs(c[0])
     )
-    demand = "a minute more moves no law with ✓ by 2 points"
+    demand = "a minute more moves no entry with ✓ by 2 points"
     measured = ", ".join(f"{name} {change:+.1f}" for change, name in changes)
     return "paid in full", demand, measured, verdict(abs(changes[0][0]) < 2.0)
 
@@ -97,7 +98,7 @@ def verdict(holds: bool) -> str:
 
 def main() -> None:
     docs = output_folder(__doc__)
-    results = evaluate([*LAWS, *POLICIES, EXACT], SUITE, "validation")
+    results = evaluate([*LAWS, *FIRST, EXACT], SUITE, "validation")
     rows = [condition(results) for condition in (room, paid_in_full)]
     results = evaluate([*LAWS, *POLICIES, EXACT], SUITE, "test")
     rows += [condition(results) for condition in (operator_agrees, sharp, saves_runs)]
