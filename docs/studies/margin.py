@@ -15,7 +15,7 @@ from wtg_gym.scenarios import get_suite
 
 SUITE = "standard-v1"
 #: Laws, and the policies whose first training seed is shown, if they are shipped.
-ENTRIES = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "dagger-v1-2")
+ENTRIES = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "evolution-v1-2")
 
 
 def strata(entries: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], seeds: list[int], hundred: str) -> str:

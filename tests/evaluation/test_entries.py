@@ -77,7 +77,7 @@ def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy():
     assert found("linear-feedback") == [("linear-feedback", 0)]
     assert found("PPO (k)") == [("PPO (k)", seed) for seed in range(5)]
     assert found("ppo-k-3") == [("PPO (k)", 3)]
-    of_v1 = {"DAgger LSTM": 5, "gradient MLP, exact state": 1, "gradient LSTM": 2, "PPO": 3}
+    of_v1 = {"DAgger LSTM": 5, "evolved LSTM": 5, "gradient MLP, exact state": 1, "gradient LSTM": 2, "PPO": 3}
     assert found("policies") == [(name, seed) for name, n_seeds in of_v1.items() for seed in range(n_seeds)]
     of_v0 = {entry.name for entry in load_entries("policies", task=V0)}
     assert of_v0 >= {"linear-feedback", "PPO (k, tau)", "PPO (tau)", "SAC (k, tau)"}
