@@ -304,16 +304,11 @@ def _case_of(
         key = int(row[_GEN])
         if row[_GEN_STATUS] > 0.0 and key in case.voltages:
             least = [row[_QMAX], row[_PMAX] if key == case.slack else 0.0]
-            case.infeeds.append(
-                solved_case.Infeed(
-                    name=f"generator {place + 1}",
-                    bus=key,
-                    power=complex(row[_PG], row[_QG]),
-                    machine_id=str(place + 1),
-                    limits_mvar=(float(row[_QMIN]), float(row[_QMAX])),
-                    least_mva=max([v for v in least if v < solved_case.UNLIMITED], default=0.0),
-                )
-            )
+            name, power = f"generator {place + 1}", complex(row[_PG], row[_QG])
+            infeed = solved_case.Infeed(name=name, bus=key, power=power, machine_id=str(place + 1))
+            infeed.limits_mvar = float(row[_QMIN]), float(row[_QMAX])
+            infeed.least_mva = max([v for v in least if v < solved_case.UNLIMITED], default=0.0)
+            case.infeeds.append(infeed)
     case.branches = [
         _two_port(row, scale, numbers)
         for row in solved["branch"]

@@ -50,15 +50,8 @@ _NEW = {
     "load": ("dgenp", "dgenq", "dgenm"),
     "swshunt": ("shntid", "nreg", "s1"),
 }
-#: Fields that tell the records of a section apart; a switched shunt of RAW 33 has its bus alone.
-_KEYS = {
-    **{"bus": ("ibus",), "load": ("ibus", "loadid"), "generator": ("ibus", "machid"), "fixshunt": ("ibus", "shntid")},
-    **{
-        "swshunt": ("ibus", "shntid"),
-        "acline": ("ibus", "jbus", "ckt"),
-        "transformer": ("ibus", "jbus", "kbus", "ckt"),
-    },
-}
+#: How many of the first fields tell the records of a section apart.
+_KEYS = {"bus": 1, "load": 2, "generator": 2, "fixshunt": 2, "swshunt": 2, "acline": 3, "transformer": 4}
 #: Types of a bus, and the one that is out of service.
 _TYPES, _ISOLATED = ("", "1", "2", "3", "4"), "4"
 #: Tables of what stands at buses, by whether it goes out of service with any of them.
@@ -158,16 +151,14 @@ def _switch_off(net: Any, raw: "_Raw", notes: list[str]) -> None:
         return
     names = {f"B{number}" for number in off}
     if missing := names - set(net.get_bus_breaker_view_buses().index):
-        raise ValueError(
-            f"bus {min(missing)[1:]} is of type 4, out of service, which a substation's bus cannot be here"
-        )
+        raise ValueError(f"bus {min(missing)[1:]} is of type 4, out of service, and has nodes of a substation")
     load_mw = 0.0
     for kind, both in _AT_BUSES.items():
         table = getattr(net, f"get_{kind}")(all_attributes=True)
         for side in ("", "1", "2", "3"):
-            if f"connected{side}" not in table:
+            if (column := f"bus_breaker_bus{side}_id") not in table:
                 continue
-            at = table[table[f"bus_breaker_bus{side}_id"].isin(names) & table[f"connected{side}"]]
+            at = table[table[column].isin(names) & table[f"connected{side}"]]
             if len(at):
                 load_mw += at["p0"].sum() if kind == "loads" else 0.0
                 ends = dict.fromkeys(("connected1", "connected2") if both else (f"connected{side}",), [False] * len(at))
@@ -180,7 +171,7 @@ class _Raw:
 
     def __init__(self, path: Path) -> None:
         self.records = defaultdict[str, list[dict[str, str]]](list)
-        self._seen = set[tuple[str, ...]]()
+        self._seen = set[tuple[str, str]]()
         text = read_text(path, "case", or_latin=True)
         self.text = self._read_json(text) if path.suffix.lower() == ".rawx" else self._read_lines(text)
 
@@ -240,14 +231,15 @@ class _Raw:
 
     def _keep(self, section: str, record: dict[str, str]) -> dict[str, float]:
         """Keep a record, which is there once; return what pypowsybl should read in it instead."""
-        values = [record.get(name, "") for name in _KEYS.get(section, ())]
-        buses = [value.lstrip("-") for name, value in zip(_KEYS.get(section, ()), values, strict=True) if "bus" in name]
-        # A branch may be written from either end.
-        ends = "-".join(sorted(bus for bus in buses if bus not in ("", "0")))
-        key = section, ends, *[value or "1" for value in values[len(buses) :]]
-        if values and key in self._seen:
-            raise ValueError(f"its {section} data have more than one record of {' '.join(['bus', *key[1:]])}")
-        self._seen.add(key)
+        key = {name: record.get(name, "") for name in _FIELDS.get(section, "").split()[: _KEYS.get(section, 0)]}
+        # A branch may be written from either end, and its metered one negative.
+        buses = sorted(value.lstrip("-0") for name, value in key.items() if name.endswith("bus"))
+        which = " ".join(
+            ["-".join(filter(None, buses)), *[key[name] or "1" for name in key if not name.endswith("bus")]]
+        )
+        if key and (section, which) in self._seen:
+            raise ValueError(f"its {section} data have more than one record of bus {which}")
+        self._seen.add((section, which))
         self.records[section].append(record)
         if section == "bus" and record.get("ide", "") not in _TYPES:
             what = f"bus {record['ibus']} is of type {record['ide']!r:.40}"
@@ -364,7 +356,8 @@ class _Tables:
         }
         self.out = solved_case.SolvedCase(self.name, "pypowsybl", frequency, self.slack, voltages)
         self.out.numbers, self.out.notes, self.out.load_mw = dict(self.numbers), self.notes, self._load_mw()
-        self._compare_stored()
+        if self.raw is not None:
+            self._compare_stored(self.raw)
         self._add_branches()
         self._add_injections()
         self._add_generators()
@@ -380,20 +373,22 @@ class _Tables:
         ends = ends[ends["connected"]]
         return total_mw - float(ends["p"].sum() - ends["p0"][ends["tie_line_id"] == ""].sum())
 
-    def _compare_stored(self) -> None:
+    def _compare_stored(self, raw: "_Raw") -> None:
         """Note how far the solution is from the voltages that a RAW file stores, unless those are a flat start."""
-        rows = {} if self.raw is None else {int(row["ibus"]): row for row in self.raw.records["bus"]}
-        stored = {n: (_number(row, "vm", 1.0), _number(row, "va")) for n, row in rows.items()}
-        turned = stored.get(self.numbers.get(self.slack, 0), (1.0, 0.0))[1]
-        differences = {
-            n: (abs(abs(here) - vm), abs(math.remainder(math.degrees(cmath.phase(here)) - va + turned, 360.0)))
-            for n, (vm, va) in stored.items()
-            if (here := self.out.voltages.get(self.bus_of.get(n, ""), 0j))
+        stored = {
+            int(row["ibus"]): cmath.rect(_number(row, "vm", 1.0), math.radians(_number(row, "va")))
+            for row in raw.records["bus"]
         }
-        if differences and any(pair != (1.0, 0.0) for pair in stored.values()):
-            volts, angle = (max(differences, key=lambda n: differences[n][k]) for k in (0, 1))
-            what = f"{differences[volts][0]:.2g} p.u. at bus {volts}, {differences[angle][1]:.2g}° at bus {angle}"
-            self.notes.append(f"largest difference from the voltages that the file stores: {what}")
+        turn = cmath.phase(stored.get(self.numbers.get(self.slack, 0), 1 + 0j))
+        far = {
+            number: abs(here - there * cmath.exp(-1j * turn))
+            for number, there in stored.items()
+            if (here := self.out.voltages.get(self.bus_of.get(number, ""), 0j))
+        }
+        if far and set(stored.values()) != {1 + 0j}:
+            bus = max(far, key=far.__getitem__)
+            what = "largest difference from the voltages that the file stores, as phasors"
+            self.notes.append(f"{what}: {far[bus]:.2g} p.u. at bus {bus}")
 
     def _add_branch(
         self, name: str, ends: tuple[Any, Any], ohms: complex, siemens: tuple[complex, complex], ratio: complex = 1.0
@@ -470,19 +465,14 @@ class _Tables:
                 limits = row.max_q, row.max_p if row.bus_id == self.slack else 0.0
                 rated = float(row.get("rated_s", math.nan))
                 taken = complex(row.p, row.q)
-                self.out.infeeds.append(
-                    solved_case.Infeed(
-                        name=str(name),
-                        bus=row.bus_id,
-                        machine_id=place[1],
-                        role={"WIND": "wind", "SOLAR": "static"}.get(source, role),
-                        power=-taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q),
-                        rating_mva=data["mbase"] or (rated if 0.0 < rated < solved_case.UNLIMITED else None),
-                        impedance=complex(data["zr"], data["zx"]),
-                        limits_mvar=(float(row.get("min_q_at_p", math.nan)), float(row.get("max_q_at_p", math.nan))),
-                        least_mva=max([float(v) for v in limits if v < solved_case.UNLIMITED], default=0.0),
-                    )
-                )
+                power = -taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q)
+                infeed = solved_case.Infeed(name=str(name), bus=row.bus_id, power=power, machine_id=place[1])
+                infeed.role = {"WIND": "wind", "SOLAR": "static"}.get(source, role)
+                infeed.rating_mva = data["mbase"] or (rated if 0.0 < rated < solved_case.UNLIMITED else None)
+                infeed.impedance = complex(data["zr"], data["zx"])
+                infeed.limits_mvar = float(row.get("min_q_at_p", math.nan)), float(row.get("max_q_at_p", math.nan))
+                infeed.least_mva = max([float(v) for v in limits if v < solved_case.UNLIMITED], default=0.0)
+                self.out.infeeds.append(infeed)
         slack = [each for each in self.out.infeeds if each.bus == self.slack and each.role == "machine"]
         for each in slack:
             each.power += self.missing_mw / len(slack)

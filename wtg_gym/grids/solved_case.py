@@ -312,37 +312,16 @@ def _network_case(
         charging = 2.0 * far.imag
         case.shunts[one] += (near - 0.5j * charging) / branch.tap**2
         case.shunts[other] += far.real
-        branches.append(
-            made(
-                branch.name,
-                Branch,
-                from_bus=numbers[one],
-                to_bus=numbers[other],
-                resistance=branch.impedance.real,
-                reactance=branch.impedance.imag,
-                charging=charging,
-                tap=branch.tap,
-                phase_rad=branch.phase_rad,
-            )
-        )
+        values: dict[str, Any] = {"from_bus": numbers[one], "to_bus": numbers[other], "charging": charging}
+        values |= {"resistance": branch.impedance.real, "reactance": branch.impedance.imag}
+        branches.append(made(branch.name, Branch, **values, tap=branch.tap, phase_rad=branch.phase_rad))
     buses = []
     for key, voltage in case.voltages.items():
         load, shunt, number = case.loads.get(key, 0j), BASE_MVA * case.shunts.get(key, 0j), numbers[key]
         x, y = case.places.get(key, (None, None))
-        buses.append(
-            made(
-                f"bus {number}",
-                Bus,
-                number=number,
-                load_mw=load.real,
-                load_mvar=load.imag,
-                shunt_mw=shunt.real,
-                shunt_mvar=shunt.imag,
-                voltage_pu=round(abs(voltage), 9) if number in held else None,
-                x=x,
-                y=y,
-            )
-        )
+        values = {"load_mw": load.real, "load_mvar": load.imag, "shunt_mw": shunt.real, "shunt_mvar": shunt.imag}
+        values["voltage_pu"] = round(abs(voltage), 9) if number in held else None
+        buses.append(made(f"bus {number}", Bus, number=number, **values, x=x, y=y))
     return NetworkCase(
         name=case.name,
         base_mva=BASE_MVA,
