@@ -242,7 +242,7 @@ def test_unknown_scalars_of_MATPOWER_and_a_missing_slack_bus_are_noted_and_limit
 def test_a_bus_of_type_4_of_a_RAW_file_is_out_of_service_with_all_that_is_there(tmp_path):
     plain = read_case(raw(tmp_path)[0]).case
     more = {
-        "BUS": "4,'FOUR',220,4,1,1,1,1,0\n",
+        "BUS": "4,'4'' FOUR',220,4,1,1,1,1,0\n",
         "LOAD": "4,'1',1,1,1,30,5,0,0,0,0,1,1,0\n",
         "FIXSHUNT": "4,'1',1,0,20\n",
         "GENERATOR": "4,'1',10,0,60,-60,1.05,0,100,0,1,0,0,1,1,100,200,0,1,1\n",

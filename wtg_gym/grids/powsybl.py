@@ -105,7 +105,7 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
                 read.write_bytes(path.read_bytes() if raw is None else raw.text.encode())
             net = pypowsybl.network.load(str(read))
     except Exception as error:
-        which = "" if raw is None else f" as RAW of version {raw.version:g} (32, 33 and 35 are read)"
+        which = "" if raw is None else f" as RAW of version {raw.version:g}"
         raise ValueError(f"pypowsybl cannot read it{which}: {error}") from error
     if raw is None and net.source_format == "PSS/E" and "iidm" not in path.suffix.lower():
         # What pypowsybl passes over would not be seen.
@@ -201,6 +201,8 @@ class _Raw:
             self.version = float(header[2])
         except (IndexError, ValueError) as error:
             raise ValueError("it is no RAW file: its first line must have three numbers or more") from error
+        if int(self.version) not in (32, 33, 35):
+            raise ValueError(f"it cannot be read as RAW of version {self.version:g}; allowed: 32, 33, 35")
         self.frequency_hz = _number(dict(enumerate(header)), 5)
         new = self.version >= 34
         queue = iter(_SECTIONS_35 if new else _SECTIONS)
@@ -269,9 +271,9 @@ class _Raw:
 
 
 def _fields(line: str) -> list[str]:
-    """Return the fields of a record, which commas or blanks part; a slash begins a remark."""
+    """Return the fields of a record, which commas or blanks part; a slash begins a remark, '' in a text is a quote."""
     fields, empty = list[str](), True
-    for token in re.findall(r"""'[^']*'|"[^"]*"|[^\s,'"/]+|[,/]""", line):
+    for token in re.findall(r"""'(?:[^']|'')*'|"[^"]*"|[^\s,'"/]+|[,/]""", line):
         if token == "/":
             break
         if token != ",":
