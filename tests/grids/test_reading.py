@@ -218,6 +218,11 @@ NOT_A_CASE = [
     ("3 1 90 30", "3 1 90", "row 3 of its table bus has 12 numbers, the first one 13"),
     ("baseMVA = 100.0", "baseMVA = 100/2", "its baseMVA has '100/2' in row 1, which is no number"),
     ("baseMVA = 100.0", "baseMVA = 0", "its baseMVA is 0; allowed: more than 0"),
+    (
+        "mpc.genfuel =",
+        "mpc.dcline = [1 3 1\n1 3];\nmpc.genfuel =",
+        "row 2 of its table dcline has 2 numbers, the first",
+    ),
     ("'coal'; ", "", "its genfuel names 1 generators, its table gen 2"),
 ]
 
@@ -231,7 +236,9 @@ def test_numbers_that_no_case_of_MATPOWER_has_are_refused_by_their_place(right, 
 
 
 def test_unknown_scalars_of_MATPOWER_and_a_missing_slack_bus_are_noted_and_limits_may_be_infinite(tmp_path):
-    path = mpc(tmp_path, after="mpc.const_int = 123;\nmpc.time_elapsed = 1.5e-3\nmpc.const_str = 'a b';")
+    path = mpc(
+        tmp_path, after="mpc.const_int = 123;\nmpc.time_elapsed = 1.5e-3\nmpc.const_str = 'a b';\nmpc.dcline = [];"
+    )
     path.write_text(path.read_text().replace("[1 3 0", "[1 2 0").replace("1 200 0;", "1 Inf NaN;"))
     grid = read_case(path)
     assert "passed over: const_int, time_elapsed, const_str" in notes(grid)

@@ -82,11 +82,15 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
         raise ValueError(f"its baseMVA is {base_mva:g}; allowed: more than 0")
     tables = {name: _matrix(f"table {name}", data[name]) for name in ("bus", "gen", "branch")}
     notes: list[str] = []
-    unknown = [name for name in data if name not in _SILENT.split() and np.size(np.array(data[name], dtype=object))]
-    if scalars := [name for name in unknown if isinstance(data[name], str) or np.ndim(data[name]) == 0]:
+    unknown = {name: value for name, value in data.items() if name not in _SILENT.split()}
+    if scalars := [name for name, value in unknown.items() if isinstance(value, (str, int, float, np.number))]:
         notes.append(f"scalars that say nothing about the power flow are passed over: {', '.join(scalars)}")
-    more = {name: (len(np.atleast_2d(data[name])), 0.0) for name in unknown if name not in scalars}
-    if "dcline" in more:
+    more = {
+        name: (len(value) if isinstance(value, list) else np.size(value) and len(np.atleast_2d(value)), 0.0)
+        for name, value in unknown.items()
+        if name not in scalars
+    }
+    if more.get("dcline", (0,))[0]:
         lines = _matrix("table dcline", data["dcline"])
         more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
     solved_case.refuse_unread(more, drop, notes)
