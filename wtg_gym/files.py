@@ -262,11 +262,14 @@ def read_bytes(path: Path, what: str) -> bytes:
         raise ValueError(f"cannot read the {what} {printable(str(path))}: {reason}") from error
 
 
-def read_text(path: Path, what: str) -> str:
-    """Return the text of a file, see :func:`read_bytes`; a ValueError, too, where it is not UTF-8."""
+def read_text(path: Path, what: str, *, or_latin: bool = False) -> str:
+    """Return the text of a file, see :func:`read_bytes`; a ValueError, too, if it is not UTF-8, `or_latin` Latin-1."""
+    content = read_bytes(path, what)
     try:
-        return read_bytes(path, what).decode("utf-8")
+        return content.decode("utf-8")
     except UnicodeDecodeError as error:
+        if or_latin:
+            return content.decode("latin-1")
         raise ValueError(f"the {what} {printable(str(path))} is not UTF-8 text: {error}") from error
 
 

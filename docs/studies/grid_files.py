@@ -1,56 +1,73 @@
-"""`python docs/studies/grid_files.py FOLDER …`: which grid files are read exactly, and why others are refused."""
+"""`python docs/studies/grid_files.py FILE|FOLDER …`: how files become grids, at rest and at 30 resets, or why not."""
 
+import re
 import sys
-from collections import Counter, defaultdict
+import tempfile
 from pathlib import Path
 
-from wtg_gym.grids.reading import read_case
+import gymnasium
+import numpy as np
 
-FORMATS = {
-    ".m": "MATPOWER .m",
-    ".mat": "MATPOWER .mat",
-    ".raw": "PSS/E RAW",
-    ".rawx": "PSS/E RAWX",
-    ".zip": "CGMES",
-    ".uct": "UCTE",
-    ".txt": "IEEE-CDF",
-    ".cdf": "IEEE-CDF",
-    ".dgs": "PowerFactory",
-    ".json": "pandapower",
-    ".xiidm": "XIIDM",
-    ".jiidm": "XIIDM",
-}
-#: Words of a refusal, and what the table calls it.
-REASONS = {
-    "finds no power flow": "not solved by its library",
-    "no generator in service": "no machine",
-    "no machine is at the slack": "no machine at the slack bus",
-    "has what no grid here has": "other elements or islands",
-    "statements": "statements of MATLAB",
-    "no matrix of numbers": "statements of MATLAB",
-    "at most 2000": "above 2,000 buses",
-    "flat start": "no solution from a flat start",
-    "cannot read it": "not read by its library",
-}
+import wtg_gym  # noqa: F401, registers the environment
+from wtg_gym import Plant, Scenario, simulate
+from wtg_gym.files import write_atomically
+from wtg_gym.grids.reading import read_case, with_wind
+from wtg_gym.physics.grid import Grid, grid_text
+from wtg_gym.physics.simulator import longest_step
+
+ENDINGS = (".m", ".mat", ".raw", ".rawx", ".zip", ".uct", ".txt", ".cdf", ".dgs", ".json", ".xiidm", ".jiidm")
+SEEDS, REST_S, WIND_M_S = 30, 20.0, 10.0
+
+
+def rest_hz(grid: Grid) -> float:
+    """Return how far a frequency moves in 20 s without any event, under the law of `grid check` [Hz]."""
+    shares = sum(machine.governor is not None for machine in grid.with_groups.machines) > 1
+    plant = Plant().replaced(physics="extended", case=grid.with_groups, groups=grid.groups, shares_dispatch=shares)
+    plant = plant.replaced(simulation_dt=longest_step(plant))
+    wind = np.full((len(grid.groups), 1), WIND_M_S)
+    scenario = Scenario(name="rest", wind_speed=wind, duration_s=REST_S, load_noise_bus=grid.case.slack_bus)
+    run = simulate(scenario, "coordinated-tuned", plant)
+    moved = np.abs(run.local_frequency_hz - run.nominal_frequency_hz).max()
+    return float(moved) if run.time_s[-1] >= REST_S - 1.0 else np.inf
+
+
+def resets(grid: Grid) -> str:
+    """Return how many of 30 resets start, and how many scenarios were drawn again for them."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "grid.json"
+        write_atomically(file, grid_text(grid))
+        env, redrawn = gymnasium.make("GFMWTG-v1", grid=str(file), reward="cost"), []
+        for seed in range(SEEDS):
+            try:
+                redrawn.append(env.reset(seed=seed)[1]["redrawn"])
+            except (RuntimeError, ValueError):
+                continue
+    return f"{len(redrawn)} / {sum(redrawn)}"
+
+
+def row(path: Path) -> list[str]:
+    """Return the cells of a file, or of the sentence that refuses it."""
+    cells = [path.name]
+    try:
+        grid = read_case(path)
+        said = dict(re.findall(r"(voltage|angle|total load) (\S+e[-+]\d+)", grid.substitutions[-1]))
+        load = f"{grid.case.load_mw:.1f} ({said['total load']})"
+        cells += [str(len(grid.case.buses)), said["voltage"], said["angle"], load]
+        grid = with_wind(grid)
+        cells += [f"{rest_hz(grid):.1e}", resets(grid)]
+    except ValueError as error:
+        cells += [re.sub(r"^the case \S+ ", "", str(error)).replace("|", "/")]
+    return cells
 
 
 def main() -> None:
-    exact, refused = Counter[str](), defaultdict[str, Counter[str]](Counter)
-    for path in sorted(path for folder in sys.argv[1:] for path in Path(folder).rglob("*")):
-        name = FORMATS.get(path.suffix.lower())
-        if name is None or not path.is_file():
-            continue
-        try:
-            read_case(path)
-            exact[name] += 1
-        except ValueError as error:
-            reason = next((text for words, text in REASONS.items() if words in str(error)), "other")
-            refused[name][reason] += 1
-            print(f"{path}: {error}", file=sys.stderr)
-    print("| format | read exactly | refused |\n| --- | --- | --- |")
-    for name in dict.fromkeys(FORMATS.values()):
-        reasons = ", ".join(f"{n} {reason}" for reason, n in refused[name].most_common())
-        print(f"| {name} | {exact[name]} | {reasons or '–'} |")
+    given = [Path(name) for name in sys.argv[1:]]
+    files = [file for path in given for file in ([path] if path.is_file() else sorted(path.rglob("*")))]
+    print("| file | buses | voltage [p.u.] | angle [rad] | load [MW] | 20 s at rest [Hz] | started / redrawn |")
+    print("| --- " * 7 + "|")
+    for path in files:
+        if path.suffix.lower() in ENDINGS and path.is_file():
+            print(f"| {' | '.join(row(path))} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,9 @@
 
 import json
 import math
+import re
+import subprocess
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +15,7 @@ import pandapower.networks
 import pypowsybl
 import pytest
 
-from wtg_gym.grids import dyr, solved_case
+from wtg_gym.grids import dyr, powsybl, solved_case
 from wtg_gym.grids.reading import read_case, with_wind
 from wtg_gym.grids.solved_case import power_flow
 from wtg_gym.physics.grid import Grid
@@ -194,15 +197,131 @@ def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type
         read_case(mpc(tmp_path, after="mpc.bus(:, 3) = 1;"))
     for row, words in (
         ("3 9 0 1 0 0 0 0 0 0 1;", "names the bus 9"),
-        ("1 3 0 1/8 0 0 0 0 0 0 1;", "no matrix of numbers"),
+        ("1 3 0 1/8 0 0 0 0 0 0 1;", "has .1/8. in row 4, which is no number"),
     ):
-        with pytest.raises(ValueError, match=f"its table branch (is )?{words}"):
+        with pytest.raises(ValueError, match=f"its table branch {words}"):
             read_case(mpc(tmp_path, branch=row))
     with pytest.raises(ValueError, match="1 × dcline with 30 MW; --drop dcline"):
         read_case(mpc(tmp_path, after="mpc.dcline = [\n1 3 1 30 29 0 0 1 1 0 100 -9 9 -9 9 1 0;\n];"))
     case = mpc(tmp_path, bus="4 4 40 0 0 0 1 1 0 220 1 1.1 0.9;\n", branch="3 4 0 0.1 0 0 0 0 0 0 1;\n")
     grid = read_case(case)
     assert grid.case.load_mw == 110.0 and "out of service with 40 MW of load: 4" in notes(grid)
+
+
+NOT_A_CASE = [
+    ("3 1 90 30", "3 1 NaN 30", "row 3 of its table bus has nan in column 3, which must be finite"),
+    ("3 1 90 30", "3 1 90 Inf", "row 3 of its table bus has inf in column 4, which must be finite"),
+    ("3 1 90 30", "3 5 90 30", "bus 3 is of type 5; allowed: 1, 2, 3, 4"),
+    ("3 1 90 30", "3 0 90 30", "bus 3 is of type 0; allowed: 1, 2, 3, 4"),
+    ("3 1 90 30", "2 1 90 30", "row 2 of its table bus names the bus 2, which is twice there"),
+    ("3 1 90 30", "3.5 1 90 30", "row 3 of its table bus has the bus number 3.5; allowed: whole numbers from 1"),
+    ("3 1 90 30", "3 1 90", "row 3 of its table bus has 12 numbers, the first one 13"),
+    ("baseMVA = 100.0", "baseMVA = 100/2", "its baseMVA has '100/2' in row 1, which is no number"),
+    ("baseMVA = 100.0", "baseMVA = 0", "its baseMVA is 0; allowed: more than 0"),
+    (
+        "mpc.genfuel =",
+        "mpc.dcline = [1 3 1\n1 3];\nmpc.genfuel =",
+        "row 2 of its table dcline has 2 numbers, the first",
+    ),
+    ("'coal'; ", "", "its genfuel names 1 generators, its table gen 2"),
+]
+
+
+@pytest.mark.parametrize(("right", "wrong", "sentence"), NOT_A_CASE)
+def test_numbers_that_no_case_of_MATPOWER_has_are_refused_by_their_place(right, wrong, sentence, tmp_path):
+    path = mpc(tmp_path)
+    path.write_text(path.read_text().replace(right, wrong))
+    with pytest.raises(ValueError, match=re.escape(f"three.m: {sentence}")):
+        read_case(path)
+
+
+def test_unknown_scalars_of_MATPOWER_and_a_missing_slack_bus_are_noted_and_limits_may_be_infinite(tmp_path):
+    path = mpc(
+        tmp_path, after="mpc.const_int = 123;\nmpc.time_elapsed = 1.5e-3\nmpc.const_str = 'a b';\nmpc.dcline = [];"
+    )
+    path.write_text(path.read_text().replace("[1 3 0", "[1 2 0").replace("1 200 0;", "1 Inf NaN;"))
+    grid = read_case(path)
+    assert "passed over: const_int, time_elapsed, const_str" in notes(grid)
+    assert "names no slack bus; the one of the largest generator is taken: 2" in notes(grid)
+    assert grid.case.slack_bus == 2 and grid.case.load_mw == 110.0
+
+
+def test_a_bus_of_type_4_of_a_RAW_file_is_out_of_service_with_all_that_is_there(tmp_path):
+    plain = read_case(raw(tmp_path)[0]).case
+    more = {
+        "BUS": "4,'4'' FOUR',220,4,1,1,1,1,0\n",
+        "LOAD": "4,'1',1,1,1,30,5,0,0,0,0,1,1,0\n",
+        "FIXSHUNT": "4,'1',1,0,20\n",
+        "GENERATOR": "4,'1',10,0,60,-60,1.05,0,100,0,1,0,0,1,1,100,200,0,1,1\n",
+        "BRANCH": "3,4,'1',0.01,0.1,0.5,0,0,0,0,0,0,0,1,1,0,1,1\n",
+        "TRANSFORMER": "4,3,0,'1',1,1,1,0,0,2,'T',1,1,1\n0,0.2,100\n1,0,0\n1,0\n",
+    }
+    grid = read_case(raw(tmp_path, **more)[0])
+    assert grid.case == plain and "out of service with 30 MW of load: 4" in notes(grid)
+
+
+def test_the_reactive_part_of_an_admittance_is_negative_where_a_load_takes_reactive_power(tmp_path):
+    for active in (0, 10):
+        case = read_case(raw(tmp_path, LOAD=f"3,'2',1,1,1,0,0,0,0,{active},-20,1,1,0\n")[0]).case
+        voltage = abs(power_flow(case)[0][2])
+        assert case.buses[2].load_mvar == pytest.approx(30.0 + 20.0 * voltage**2, abs=1e-6)
+        assert case.buses[2].load_mw == pytest.approx(90.0 + active * voltage**2, abs=1e-6)
+    data = json.loads((FOLDER / "three.rawx").read_text(encoding="utf-8"))
+    load = data["network"]["load"]
+    load["fields"] += ["yp", "yq"]
+    load["data"] = [[*row, 0.0, -20.0] for row in load["data"]]
+    (tmp_path / "three.rawx").write_text(json.dumps(data))
+    case = read_case(tmp_path / "three.rawx").case
+    assert case.buses[1].load_mvar == pytest.approx(5.0 + 20.0 * 1.01**2)
+
+
+TWICE = [
+    ("BUS", "3,'DUP',220,1,1,1,1,1,0\n", "bus data have more than one record of bus 3"),
+    ("LOAD", "3,'1',1,1,1,25,5,0,0,0,0,1,1,0\n", "load data have more than one record of bus 3 1"),
+    ("GENERATOR", "2,'A',10,1,60,-60,1.01,0,100,0,1,0,0,1,1,100,200,0,1,1\n", "generator data .* of bus 2 A"),
+    ("BRANCH", "2,-1,'1',0.01,0.1,0,0,0,0,0,0,0,0,1,1,0,1,1\n", "acline data have more than one record of bus 1-2 1"),
+]
+
+
+@pytest.mark.parametrize(("section", "record", "sentence"), TWICE)
+def test_a_record_that_a_RAW_file_has_twice_is_refused_by_its_name(section, record, sentence, tmp_path):
+    with pytest.raises(ValueError, match=rf"three\.raw: its {sentence}"):
+        read_case(raw(tmp_path, **{section: record})[0])
+    with pytest.raises(ValueError, match="bus 4 is of type '5'; allowed: 1, 2, 3, 4"):
+        read_case(raw(tmp_path, BUS="4,'FOUR',220,5,1,1,1,1,0\n")[0])
+
+
+def test_what_the_file_stores_otherwise_is_noted_reactive_limits_and_voltages_in_Latin_1_too(tmp_path):
+    path, dynamic = raw(tmp_path, dynamic="// Größe\n" + DYR)
+    text = path.read_text().replace("10,60,-60,1.01", "10,5,-5,1.05").replace("'ONE'", "'ÖNE'")
+    path.write_text(text, encoding="latin-1")
+    dynamic.write_text(dynamic.read_text(), encoding="latin-1")
+    said = notes(read_case(path, dynamic))
+    assert re.search(r"reactive limits are not kept; beyond theirs \[Mvar\]: B2-GA at bus 2 \d\S* \(-5 … 5\)", said)
+    assert "from the voltages that the file stores, as phasors: 0.0" in said
+    path.write_text(text.replace("'ÖNE',220,3", "'ÖNE',220,2"))
+    assert "largest generator is taken: 1" in notes(read_case(path))
+
+
+def test_an_infinite_machine_of_a_DYR_file_is_refused_or_a_typical_one_when_asked(tmp_path):
+    path, dynamic = raw(tmp_path, dynamic="1 'GENCLS' 1 0 0 /\n2 'GENCLS' A 4 0 /\n")
+    with pytest.raises(ValueError, match=r"GENCLS with H = 0, an infinite machine .* --substitute"):
+        read_case(path, dynamic)
+    grid = read_case(path, dynamic, substitute=True)
+    assert grid.case.machines[0].two_h_s == 8.0 and grid.case.machines[0].rating_mva == 150.0
+    assert "machine 1 at bus 1: GENCLS with H = 0, an infinite machine: a typical one" in notes(grid)
+
+
+def test_a_total_load_that_is_not_the_library_s_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(powsybl._Tables, "_load_mw", lambda tables: 109.0)
+    with pytest.raises(ValueError, match=r"total load 110 MW here, 109 MW in pypowsybl"):
+        read_case(raw(tmp_path)[0])
+
+
+def test_a_library_prints_nothing_of_its_own(tmp_path):
+    code = f"from wtg_gym.grids.powsybl import *\nread_powsybl(Path({str(raw(tmp_path)[0])!r}), None, ())"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "opf" not in run.stderr + run.stdout
 
 
 def test_phase_shifts_along_every_path_are_left_out_and_a_phase_shifter_stays(net, tmp_path):
@@ -225,9 +344,12 @@ def test_wind_parks_get_turbines_and_other_static_generators_are_negative_loads(
     pandapower.create_load(net, 1, 20.0, const_z_p_percent=100.0)
     pandapower.create_storage(net, 2, 2.0, 10.0)
     grid = read(net, tmp_path)
+    assert "storage 0 at bus 3 is a load of 2 MW" in notes(grid) and "reactive limits" not in notes(grid)
     assert grid.replaced == (3,) and "wind park of 40 MW" in notes(grid) and "negative load: -6 MW" in notes(grid)
     assert "constant impedance" in notes(grid) and grid.case.load_mw == pytest.approx(92.0 - 6.0 + 20.0 * 1.01**2)
     assert {group.bus for group in with_wind(grid, [2]).groups} == {2, 3}
+    pandapower.create_ext_grid(net, 2, vm_pu=1.0)
+    assert "external grids beside the first are machines: at buses 3" in notes(read(net, tmp_path))
     pandapower.create_dcline(net, 1, 2, 30.0, 0.0, 0.0, 1.01, 1.0)
     with pytest.raises(ValueError, match="1 × dcline with 30 MW"):
         read(net, tmp_path)

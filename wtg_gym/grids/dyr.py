@@ -70,7 +70,9 @@ class Dynamics:
         self.notes, self._substitute = notes, substitute
         self._records = defaultdict[tuple[int, str], dict[str, list[float]]](dict)
         self._unknown = Counter[str]()
-        text = "\n".join(re.sub(r"^\s*(//|!).*", "", line) for line in read_text(path, "case").splitlines())
+        text = "\n".join(
+            re.sub(r"^\s*(//|!).*", "", line) for line in read_text(path, "case", or_latin=True).splitlines()
+        )
         # Text behind the end of a record, on the same line, is a remark.
         for record in re.sub(r"/.*", "/", text).split("/"):
             fields = re.findall(r"'[^']*'|[^\s,]+", record)
@@ -102,6 +104,10 @@ class Dynamics:
         if model is None:
             return None
         values = self._values(at, model, records[model])
+        if values["_h"] == 0.0:
+            self._unknown[f"{model} with H = 0, an infinite machine"] += 1
+            self.notes.append(f"{at}: {model} with H = 0, an infinite machine: a typical one stands in its place")
+            return typical_machine(number, infeed.power, infeed.rating_mva or 0.0, slack=slack)
         common = {
             "bus": number,
             "rating_mva": infeed.rating_mva or abs(infeed.power),

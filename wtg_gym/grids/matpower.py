@@ -10,7 +10,7 @@ import json
 import math
 import re
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +41,21 @@ _READ = (
 #: Tables of a .m file that say nothing about the power flow.
 _SILENT = "version baseMVA bus gen branch gencost bus_name branch_name gen_name genfuel gentype areas"
 _SAVE = "save the case there as a .mat file or by savecase"
+#: A number or a text of any name, and what is the base.
+_SCALAR = r"(?m)mpc\.(version|baseMVA|\w+(?=\s*=\s*(?:[-+.\deE]+|'[^'\n]*')\s*(?:;|$)))\s*=\s*([^;\n]+);?"
 #: Columns of MATPOWER's tables, and those that pandapower adds to the branches.
 _BUS, _TYPE, _PD, _QD, _GS, _BS, _VM, _VA = 0, 1, 2, 3, 4, 5, 7, 8
 _GEN, _PG, _QG, _QMAX, _QMIN, _GEN_STATUS, _PMAX = 0, 1, 2, 3, 4, 7, 8
 _FROM, _TO, _R, _X, _B, _TAP, _SHIFT, _STATUS = 0, 1, 2, 3, 4, 8, 9, 10
 _PF, _QF, _PT, _QT = 13, 14, 15, 16
 _R_ASYM, _X_ASYM, _G, _G_ASYM, _B_ASYM = 21, 22, 23, 24, 25
-_REFERENCE, _ISOLATED = 3, 4
+_HELD, _REFERENCE, _ISOLATED = 2, 3, 4
+#: Of each table: its least number of columns, its numbers of buses, and where neither Inf nor NaN may stand.
+_NEEDED = {
+    "bus": (9, [_BUS], (_TYPE, _PD, _QD, _GS, _BS, _VM, _VA)),
+    "gen": (9, [_GEN], (_PG, _QG, 5, _GEN_STATUS)),
+    "branch": (11, [_FROM, _TO], (_R, _X, _B, _TAP, _SHIFT, _STATUS)),
+}
 
 
 def is_network(path: Path) -> bool:
@@ -60,31 +68,42 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     """Return the case of a .m or .mat file, as PYPOWER solves it; a ValueError says why it is none."""
     from pypower.api import ppoption, runpf
 
-    fuels: dict[int, str] = {}
     if path.suffix.lower() == ".mat":
         try:
             data = loadmat(path, simplify_cells=True)["mpc"]
         # A file of version 7.3 is HDF5.
         except (MatReadError, NotImplementedError) as error:
             raise ValueError(f"it is no .mat file: {error}") from error
+        fuels = dict(enumerate(map(str, np.ravel(data.get("genfuel", []))), start=1))
     else:
-        data, fuels = _written_tables(read_text(path, "case"))
-    tables = {name: _matrix(name, data[name]) for name in ("bus", "gen", "branch")}
+        data, fuels = _written_tables(read_text(path, "case", or_latin=True))
+    base_mva = _matrix("baseMVA", [[data["baseMVA"]]])[0, 0]
+    if not 0.0 < base_mva < math.inf:
+        raise ValueError(f"its baseMVA is {base_mva:g}; allowed: more than 0")
+    tables = {name: _matrix(f"table {name}", data[name]) for name in ("bus", "gen", "branch")}
     notes: list[str] = []
-    more = {name: (len(np.atleast_2d(data[name])), 0.0) for name in data if name not in _SILENT.split()}
-    if "dcline" in more:
-        lines = _matrix("dcline", data["dcline"])
+    unknown = {name: value for name, value in data.items() if name not in _SILENT.split()}
+    if scalars := [name for name, value in unknown.items() if isinstance(value, (str, int, float, np.number))]:
+        notes.append(f"scalars that say nothing about the power flow are passed over: {', '.join(scalars)}")
+    more = {
+        name: (len(value) if isinstance(value, list) else np.size(value) and len(np.atleast_2d(value)), 0.0)
+        for name, value in unknown.items()
+        if name not in scalars
+    }
+    if more.get("dcline", (0,))[0]:
+        lines = _matrix("table dcline", data["dcline"])
         more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
     solved_case.refuse_unread(more, drop, notes)
     solved_case.refuse_large(len(tables["bus"]))
-    for name, places in (("gen", [_GEN]), ("branch", [_FROM, _TO])):
-        if unknown := set(tables[name][:, places].ravel()) - set(tables["bus"][:, _BUS]):
-            raise ValueError(f"its table {name} names the bus {min(unknown):g}, which is not there")
+    _check(tables)
+    if fuels and len(fuels) != len(tables["gen"]):
+        raise ValueError(f"its genfuel names {len(fuels)} generators, its table gen {len(tables['gen'])}")
+    _set_slack(tables, notes)
     for name, columns in (("bus", 13), ("gen", 21), ("branch", 13)):
         # Limits may be infinite or none.
         rows = np.nan_to_num(tables[name], posinf=solved_case.UNLIMITED, neginf=-solved_case.UNLIMITED)
         tables[name] = np.pad(rows, ((0, 0), (0, max(columns - rows.shape[1], 0))))
-    unsolved = {"version": "2", "baseMVA": float(data["baseMVA"]), **tables}
+    unsolved = {"version": "2", "baseMVA": base_mva, **tables}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # Rounding may keep a large case from the narrower tolerance.
@@ -105,10 +124,50 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
 
 
 def _matrix(name: str, rows: Any) -> Any:
-    try:
-        return np.atleast_2d(np.array(rows, dtype=float))
-    except ValueError as error:
-        raise ValueError(f"its table {name} is no matrix of numbers ({error}); if MATLAB reads it, {_SAVE}") from error
+    rows = rows if isinstance(rows, list) else np.atleast_2d(rows)
+    if not np.size(rows[:1]):
+        raise ValueError(f"its {name} is empty")
+    for place, row in enumerate(rows, start=1):
+        for value in row:
+            try:
+                float(value)
+            except (TypeError, ValueError) as error:
+                what = f"its {name} has {value!r} in row {place}, which is no number"
+                raise ValueError(f"{what}; if MATLAB reads it, {_SAVE}") from error
+        if len(row) != len(rows[0]):
+            raise ValueError(f"row {place} of its {name} has {len(row)} numbers, the first one {len(rows[0])}")
+    return np.array(rows, dtype=float)
+
+
+def _check(tables: Mapping[str, Any]) -> None:
+    """Refuse by its place what no case has: numbers that are none, where no limit is meant, and buses that are none."""
+    buses = tables["bus"][:, _BUS].tolist()
+    for name, (least, ends, needed) in _NEEDED.items():
+        if (columns := tables[name].shape[1]) < least:
+            raise ValueError(f"its table {name} has {columns} columns; allowed: {least} or more")
+        for place, row in enumerate(tables[name], start=1):
+            at = f"row {place} of its table {name}"
+            for column in needed:
+                if not math.isfinite(row[column]):
+                    raise ValueError(f"{at} has {row[column]:g} in column {column + 1}, which must be finite")
+            for bus in row[ends]:
+                if not 1.0 <= bus < 2**31 or bus % 1.0:
+                    raise ValueError(f"{at} has the bus number {bus:.10g}; allowed: whole numbers from 1")
+                if buses.count(bus) != 1:
+                    raise ValueError(f"{at} names the bus {bus:g}, which is {'twice' if bus in buses else 'not'} there")
+            if name == "bus" and row[_TYPE] not in (1, 2, 3, 4):
+                raise ValueError(f"bus {row[_BUS]:g} is of type {row[_TYPE]:g}; allowed: 1, 2, 3, 4")
+
+
+def _set_slack(tables: Mapping[str, Any], notes: list[str]) -> None:
+    """Make the bus of the largest generator the slack where the case has none, as for other formats."""
+    bus, gen = tables["bus"], tables["gen"]
+    held = bus[bus[:, _TYPE] == _HELD, _BUS]
+    able = gen[(gen[:, _GEN_STATUS] > 0.0) & np.isin(gen[:, _GEN], held)]
+    if _REFERENCE not in bus[:, _TYPE] and len(able):
+        largest = able[np.argmax(able[:, _PMAX]), _GEN]
+        bus[bus[:, _BUS] == largest, _TYPE] = _REFERENCE
+        notes.append(solved_case.NO_SLACK.format(f"{largest:g}"))
 
 
 def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
@@ -118,9 +177,9 @@ def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
     genfuel = re.search(r"mpc\.genfuel\s*=\s*\{(.*?)\}", text, re.DOTALL)
     fuels = dict(enumerate(re.findall(r"'([^']*)'", genfuel[1]), start=1)) if genfuel else {}
     tables = re.findall(r"mpc\.(\w+)\s*=\s*\[(.*?)\]", text, re.DOTALL)
-    scalars = re.findall(r"mpc\.(version|baseMVA)\s*=\s*([^;\n]+)", text)
+    scalars = re.findall(_SCALAR, text)
     left = re.sub(r"(?s)mpc\.\w+\s*=\s*(?:\[.*?\]|\{.*?\})\s*;?", "", text)
-    left = re.sub(r"mpc\.(?:version|baseMVA)\s*=\s*[^;\n]+;?", "", left)
+    left = re.sub(_SCALAR, "", left)
     left = re.sub(r"(?m)function\s+[^\n]*|^\s*(?:end|return)\s*;?\s*$", "", left)
     if statements := [line.strip() for line in left.splitlines() if line.strip(" ;\t\r")]:
         raise ValueError(
@@ -148,13 +207,20 @@ def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str
         numbers.setdefault(bus, max(*numbers.values(), int(net.bus.index.max()) + 1) + 1)
     solved = {name: tables[name].real.copy() for name in ("bus", "gen", "branch")} | {"baseMVA": tables["baseMVA"]}
     # The first of several external grids is the slack: each has what the solution gives it.
-    solved["bus"][np.flatnonzero(solved["bus"][:, _TYPE] == _REFERENCE)[1:], _TYPE] = 2
+    others = np.flatnonzero(solved["bus"][:, _TYPE] == _REFERENCE)[1:]
+    solved["bus"][others, _TYPE] = _HELD
+    if others.size:
+        what = ", ".join(str(numbers[int(bus)]) for bus in solved["bus"][others, _BUS])
+        notes.append(f"external grids beside the first are machines: at buses {what}")
+    for index, row in net.storage[net.storage.in_service].iterrows():
+        notes.append(f"storage {index} at bus {row.bus + 1} is a load of {net.res_storage.p_mw[index]:.6g} MW")
     case = _case_of(solved, path.stem, "pandapower", frequency_hz or float(net.f_hz), numbers, notes)
     for index, row in net.sgen[net.sgen.in_service].iterrows():
         bus, power = int(place_of[row.bus]), complex(*net.res_sgen.loc[index, ["p_mw", "q_mvar"]])
         if bus in case.voltages and power:
             wind = str(row.type).lower() in ("wp", "wind", "wt") or str(row["name"]).lower().startswith("wind")
             case.loads[bus] += power
+            case.load_mw += power.real
             name = f"static generator {index}"
             case.infeeds.append(solved_case.Infeed(name=name, bus=bus, power=power, role="wind" if wind else "static"))
     for bus, number in numbers.items():
@@ -231,9 +297,10 @@ def _case_of(
     case = solved_case.SolvedCase(name, library, frequency_hz, slacks[0], voltages)
     case.numbers, case.notes = {key: numbers[key] for key in keys}, notes
     if len(off := solved["bus"][solved["bus"][:, _TYPE] == _ISOLATED]):
-        what = ", ".join(str(numbers[int(row[_BUS])]) for row in off)
-        case.notes.append(f"buses out of service with {off[:, _PD].sum():.6g} MW of load: {what}")
+        what = solved_case.listed(numbers[int(row[_BUS])] for row in off)
+        case.notes.append(solved_case.OFF.format(off[:, _PD].sum(), what))
     taken = _taken(solved)
+    case.load_mw = sum(taken[key].real for key in keys)
     for key, row in zip(keys, rows, strict=True):
         case.shunts[key] += complex(row[_GS], row[_BS]) / solved_case.BASE_MVA
         case.add_load(key, f"bus {numbers[key]}", complex(row[_PD], row[_QD]), taken[key])
@@ -241,15 +308,11 @@ def _case_of(
         key = int(row[_GEN])
         if row[_GEN_STATUS] > 0.0 and key in case.voltages:
             least = [row[_QMAX], row[_PMAX] if key == case.slack else 0.0]
-            case.infeeds.append(
-                solved_case.Infeed(
-                    name=f"generator {place + 1}",
-                    bus=key,
-                    power=complex(row[_PG], row[_QG]),
-                    machine_id=str(place + 1),
-                    least_mva=max([v for v in least if v < solved_case.UNLIMITED], default=0.0),
-                )
-            )
+            name, power = f"generator {place + 1}", complex(row[_PG], row[_QG])
+            infeed = solved_case.Infeed(name=name, bus=key, power=power, machine_id=str(place + 1))
+            infeed.limits_mvar = float(row[_QMIN]), float(row[_QMAX])
+            infeed.least_mva = max([v for v in least if v < solved_case.UNLIMITED], default=0.0)
+            case.infeeds.append(infeed)
     case.branches = [
         _two_port(row, scale, numbers)
         for row in solved["branch"]

@@ -1,12 +1,13 @@
 """Cases that pypowsybl (https://powsybl.org) reads and solves: RAW, RAWX, CGMES, UCTE, IEEE-CDF, PowerFactory, XIIDM.
 
 What its reader of RAW and RAWX passes over is looked for in the file's sections: tables of impedance correction,
-devices that no section of it knows, the initial susceptance of switched shunts, which it rounds to a step, and the
-bases of machines.
+devices that no section of it knows, the initial susceptance of switched shunts, which it rounds to a step, the sign of
+YQ, buses that are out of service, records that are there twice, and the bases of machines.
 """
 
 import cmath
 import json
+import logging
 import math
 import re
 import tempfile
@@ -34,12 +35,31 @@ _PASSED_OVER = {
 }
 #: Fields of the records that are read here, in their order in RAW 35; 33 has those of :data:`_NEW` not.
 _FIELDS = {
+    "bus": "ibus name baskv ide area zone owner vm va",
+    "load": "ibus loadid stat area zone pl ql ip iq yp yq owner scale intrpt dgenp dgenq dgenm",
+    "fixshunt": "ibus shntid",
+    "acline": "ibus jbus ckt",
+    "transformer": "ibus jbus kbus ckt",
     "generator": "ibus machid pg qg qt qb vs ireg nreg mbase zr zx rt xt gtap stat rmpct pt pb baslod o1 f1 o2 f2 o3 "
     "f3 o4 f4 wmod wpf",
     "swshunt": "ibus shntid modsw adjm stat vswhi vswlo swreg nreg rmpct rmidnt binit s1 n1 b1",
     "facts": "name ibus jbus mode",
 }
-_NEW = {"generator": ("nreg", "baslod"), "swshunt": ("shntid", "nreg", "s1")}
+_NEW = {
+    "generator": ("nreg", "baslod"),
+    "load": ("dgenp", "dgenq", "dgenm"),
+    "swshunt": ("shntid", "nreg", "s1"),
+}
+#: How many of the first fields tell the records of a section apart.
+_KEYS = {"bus": 1, "load": 2, "generator": 2, "fixshunt": 2, "swshunt": 2, "acline": 3, "transformer": 4}
+#: Types of a bus, and the one that is out of service.
+_TYPES, _ISOLATED = ("", "1", "2", "3", "4"), "4"
+#: Tables of what stands at buses, by whether it goes out of service with any of them.
+_AT_BUSES = {
+    **dict.fromkeys(("lines", "2_windings_transformers"), True),
+    **dict.fromkeys(("loads", "generators", "batteries", "shunt_compensators", "static_var_compensators"), False),
+    **dict.fromkeys(("lcc_converter_stations", "vsc_converter_stations", "3_windings_transformers"), False),
+}
 #: Ending that pypowsybl knows a format by, where another one is usual.
 _ENDINGS = {".cdf": ".txt"}
 #: Defaults of a generator in a RAW file.
@@ -68,6 +88,8 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
     A ValueError says that it cannot read the file, or finds no power flow, or that the file has elements that a grid
     does not, of a type that `drop` does not name.
     """
+    # Its import warns of what it does not need here.
+    logging.getLogger("powsybl").setLevel(logging.ERROR)
     import pypowsybl
 
     notes: list[str] = []
@@ -83,11 +105,13 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
                 read.write_bytes(path.read_bytes() if raw is None else raw.text.encode())
             net = pypowsybl.network.load(str(read))
     except Exception as error:
-        which = "" if raw is None else f" as RAW of version {raw.version:g} (32, 33 and 35 are read)"
+        which = "" if raw is None else f" as RAW of version {raw.version:g}"
         raise ValueError(f"pypowsybl cannot read it{which}: {error}") from error
     if raw is None and net.source_format == "PSS/E" and "iidm" not in path.suffix.lower():
         # What pypowsybl passes over would not be seen.
         raise ValueError("a case of PSS/E is read from its .raw or .rawx file only, not from an archive")
+    if raw is not None:
+        _switch_off(net, raw, notes)
     if raw is not None and raw.records["swshunt"]:
         notes.append("switched shunts stand at their initial susceptance BINIT, which pypowsybl would round to a step")
     unread = {} if raw is None else {kind: (n, 0.0) for kind, n in raw.passed_over()}
@@ -110,12 +134,45 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
         raise ValueError(f"as RAW of version {raw.version:g}, {error}" if raw is not None else str(error)) from error
 
 
+def _buses(net: Any) -> dict[int, str]:
+    """Return the bus of each number in the names of buses; nothing where one has no number of its own."""
+    buses: dict[int, str] = {}
+    for name, key in net.get_bus_breaker_view_buses(all_attributes=True)["bus_id"].items():
+        digits = re.fullmatch(r"[A-Za-z]*-?0*([1-9]\d{0,8})", str(name))
+        if key and (not digits or buses.setdefault(int(digits[1]), key) != key):
+            return {}
+    return buses
+
+
+def _switch_off(net: Any, raw: "_Raw", notes: list[str]) -> None:
+    """Take out of service what is at buses that are, which pypowsybl does not."""
+    off = [row["ibus"] for row in raw.records["bus"] if row.get("ide") == _ISOLATED]
+    if not off:
+        return
+    names = {f"B{number}" for number in off}
+    if missing := names - set(net.get_bus_breaker_view_buses().index):
+        raise ValueError(f"bus {min(missing)[1:]} is of type 4, out of service, and has nodes of a substation")
+    load_mw = 0.0
+    for kind, both in _AT_BUSES.items():
+        table = getattr(net, f"get_{kind}")(all_attributes=True)
+        for side in ("", "1", "2", "3"):
+            if (column := f"bus_breaker_bus{side}_id") not in table:
+                continue
+            at = table[table[column].isin(names) & table[f"connected{side}"]]
+            if len(at):
+                load_mw += at["p0"].sum() if kind == "loads" else 0.0
+                ends = dict.fromkeys(("connected1", "connected2") if both else (f"connected{side}",), [False] * len(at))
+                getattr(net, f"update_{kind}")(id=list(at.index), **ends)
+    notes.append(solved_case.OFF.format(load_mw, solved_case.listed(off)))
+
+
 class _Raw:
     """The records of a RAW or RAWX file by section, and its text as pypowsybl should read it."""
 
     def __init__(self, path: Path) -> None:
         self.records = defaultdict[str, list[dict[str, str]]](list)
-        text = read_text(path, "case")
+        self._seen = set[tuple[str, str]]()
+        text = read_text(path, "case", or_latin=True)
         self.text = self._read_json(text) if path.suffix.lower() == ".rawx" else self._read_lines(text)
 
     def _read_json(self, text: str) -> str:
@@ -127,11 +184,10 @@ class _Raw:
             rows = [dict(zip(names, row, strict=False)) for row in data]
             for row in rows:
                 record = {name: "" if value is None else str(value).strip() for name, value in row.items()}
-                self.records[section].append(record)
-                if section == "swshunt":
+                if changed := self._keep(section, record):
                     steps = [name for name in row if re.fullmatch(r"[snb]\d", name)]
-                    row |= dict.fromkeys(steps, 0) | self._at_initial(record)
-            if section == "swshunt" and rows:
+                    row |= dict.fromkeys(steps, 0) | changed
+            if section in ("load", "swshunt") and rows:
                 network[section] = {"fields": list(rows[0]), "data": [list(row.values()) for row in rows]}
         caseid = self.records["caseid"][0]
         self.version, self.frequency_hz = float(caseid["rev"]), _number(caseid, "basfrq")
@@ -145,40 +201,65 @@ class _Raw:
             self.version = float(header[2])
         except (IndexError, ValueError) as error:
             raise ValueError("it is no RAW file: its first line must have three numbers or more") from error
+        if int(self.version) not in (32, 33, 35):
+            raise ValueError(f"it cannot be read as RAW of version {self.version:g}; allowed: 32, 33, 35")
         self.frequency_hz = _number(dict(enumerate(header)), 5)
         new = self.version >= 34
         queue = iter(_SECTIONS_35 if new else _SECTIONS)
         section, written = next(queue), lines[: starts[2] + 1] if len(starts) > 2 else lines
+        rest = 0  # of the lines of a transformer
         for line in lines[len(written) :]:
             if line.startswith("@!"):
                 continue
             if re.match(r"\s*Q\s*$", line):
                 break
             if re.match(r"\s*0\s*($|/|[A-Za-z])", line):
-                section = next(queue, "")
+                section, rest = next(queue, ""), 0
+            elif rest:
+                rest -= 1
             elif fields := _fields(line):
                 names = [
                     name for name in _FIELDS.get(section, "name").split() if new or name not in _NEW.get(section, ())
                 ]
                 record = dict(zip(names, fields, strict=False))
-                self.records[section].append(record)
-                if section == "swshunt":
-                    record |= {name: f"{value:.12g}" for name, value in self._at_initial(record).items()}
+                if section == "transformer":
+                    rest = 3 if record.get("kbus", "0") in ("", "0") else 4
+                if changed := self._keep(section, record):
+                    record |= {name: f"{value:.12g}" for name, value in changed.items()}
                     texts = [record.get(name, "") for name in names]
                     line = ",".join(each if re.fullmatch(r"[^A-Za-z ]+", each) else f"'{each}'" for each in texts)
             written.append(line)
         return "\n".join([*written, "Q", ""])
 
-    @staticmethod
-    def _at_initial(shunt: dict[str, str]) -> dict[str, float]:
-        """Return what makes the initial susceptance of a switched shunt its only step."""
-        steps: dict[str, float] = {"s1": 1, "n1": 1, "b1": (initial := _number(shunt, "binit"))}
-        return steps if initial else {"stat": 0}
+    def _keep(self, section: str, record: dict[str, str]) -> dict[str, float]:
+        """Keep a record, which is there once; return what pypowsybl should read in it instead."""
+        key = {name: record.get(name, "") for name in _FIELDS.get(section, "").split()[: _KEYS.get(section, 0)]}
+        # A branch may be written from either end, and its metered one negative.
+        buses = sorted(value.lstrip("-0") for name, value in key.items() if name.endswith("bus"))
+        which = " ".join(
+            ["-".join(filter(None, buses)), *[key[name] or "1" for name in key if not name.endswith("bus")]]
+        )
+        if key and (section, which) in self._seen:
+            raise ValueError(f"its {section} data have more than one record of bus {which}")
+        self._seen.add((section, which))
+        self.records[section].append(record)
+        if section == "bus" and record.get("ide", "") not in _TYPES:
+            what = f"bus {record['ibus']} is of type {record['ide']!r:.40}"
+            raise ValueError(f"{what}; allowed: 1, 2, 3, 4 (a name with blanks needs quotes)")
+        if section == "load" and (reactive := _number(record, "yq")):
+            # Of an admittance: negative for an inductive load, where pypowsybl takes power.
+            return {"yq": -reactive}
+        if section != "swshunt":
+            return {}
+        # The initial susceptance is the only step.
+        initial = _number(record, "binit")
+        return {"s1": 1, "n1": 1, "b1": initial} if initial else {"stat": 0}
 
     def passed_over(self) -> Iterator[tuple[str, int]]:
         """Yield what pypowsybl passes over: type and number."""
         for section, kind in _PASSED_OVER.items():
             yield kind, len({next(iter(record.values()), "") for record in self.records[section]})
+        yield "distributed-generation", sum(record.get("dgenm") == "1" for record in self.records["load"])
         yield "facts-series", sum(record.get("jbus", "0") not in ("0", "") for record in self.records["facts"])
 
     def machines(self) -> dict[tuple[str, str], dict[str, float]]:
@@ -190,9 +271,9 @@ class _Raw:
 
 
 def _fields(line: str) -> list[str]:
-    """Return the fields of a record, which commas or blanks part; a slash begins a remark."""
+    """Return the fields of a record, which commas or blanks part; a slash begins a remark, '' in a text is a quote."""
     fields, empty = list[str](), True
-    for token in re.findall(r"""'[^']*'|"[^"]*"|[^\s,'"/]+|[,/]""", line):
+    for token in re.findall(r"""'(?:[^']|'')*'|"[^"]*"|[^\s,'"/]+|[,/]""", line):
         if token == "/":
             break
         if token != ",":
@@ -206,10 +287,12 @@ def _fields(line: str) -> list[str]:
 
 
 def _number(record: Mapping[Any, str], name: Any, default: float = 0.0) -> float:
+    text = record.get(name) or str(default)
     try:
-        return float(record[name])
-    except (KeyError, ValueError):
-        return default
+        # Fortran's exponents.
+        return float(text.upper().replace("D", "E"))
+    except ValueError as error:
+        raise ValueError(f"a record has {text!r} for {name}, which is no number") from error
 
 
 class _Tables:
@@ -217,6 +300,9 @@ class _Tables:
 
     def __init__(self, library: Any, net: Any, name: str, raw: _Raw | None, notes: list[str]) -> None:
         self.net, self.name, self.raw, self.notes = net, name, raw, notes
+        self.bus_of = _buses(net)
+        # The least where several are one bus.
+        self.numbers: dict[Any, int] = {key: number for number, key in sorted(self.bus_of.items(), reverse=True)}
         self.slack = self._slack()
         self._solve(library)
         levels = net.get_voltage_levels()["nominal_v"]
@@ -226,7 +312,7 @@ class _Tables:
     def _slack(self) -> str:
         slacks = sorted(set(self.net.get_extensions("slackTerminal").get("bus_id", [])) - {"", None})
         if len(slacks) > 1:
-            raise ValueError(f"the case must have one slack bus, got {slacks}")
+            raise ValueError(f"the case must have one slack bus, got {[self.numbers.get(key, key) for key in slacks]}")
         if slacks:
             return str(slacks[0])
         generators = self.net.get_generators()
@@ -234,7 +320,7 @@ class _Tables:
         if able.empty:
             raise ValueError("no generator in service holds a voltage")
         bus = str(able.loc[able["max_p"].idxmax(), "bus_id"])
-        self.notes.append(f"the case names no slack bus; the one of the largest generator is taken: {bus}")
+        self.notes.append(solved_case.NO_SLACK.format(self.numbers.get(bus, bus)))
         return bus
 
     def _solve(self, library: Any) -> None:
@@ -271,24 +357,40 @@ class _Tables:
             for key, row in self.buses.iterrows()
         }
         self.out = solved_case.SolvedCase(self.name, "pypowsybl", frequency, self.slack, voltages)
-        self.out.numbers, self.out.notes = self._numbers(), self.notes
+        self.out.numbers, self.out.notes, self.out.load_mw = dict(self.numbers), self.notes, self._load_mw()
+        if self.raw is not None:
+            self._compare_stored(self.raw)
         self._add_branches()
         self._add_injections()
         self._add_generators()
         return self.out
 
-    def _numbers(self) -> dict[Any, int]:
-        """Return the numbers in the names of buses, the least where several are one; none where one has no number."""
-        views = self.net.get_bus_breaker_view_buses(all_attributes=True)
-        numbers: dict[Any, int] = {}
-        for name, key in views["bus_id"].items():
-            if key not in self.volts:
-                continue
-            digits = re.fullmatch(r"[A-Za-z]*-?0*(\d{1,9})", str(name))
-            if not digits or int(digits[1]) < 1:
-                return {}
-            numbers[key] = min(numbers.get(key, 10**9), int(digits[1]))
-        return numbers if len(set(numbers.values())) == len(numbers) else {}
+    def _load_mw(self) -> float:
+        """Return the load of the solution: what generators give beyond losses and shunts, and what boundaries take."""
+        total_mw = self.missing_mw
+        for name in _AT_BUSES:
+            table = getattr(self.net, f"get_{name}")() if name != "loads" else {}
+            total_mw -= sum(float(table[p].sum()) for p in ("p", "p1", "p2", "p3") if p in table)
+        ends = self.net.get_boundary_lines(all_attributes=True)
+        ends = ends[ends["connected"]]
+        return total_mw - float(ends["p"].sum() - ends["p0"][ends["tie_line_id"] == ""].sum())
+
+    def _compare_stored(self, raw: "_Raw") -> None:
+        """Note how far the solution is from the voltages that a RAW file stores, unless those are a flat start."""
+        stored = {
+            int(row["ibus"]): cmath.rect(_number(row, "vm", 1.0), math.radians(_number(row, "va")))
+            for row in raw.records["bus"]
+        }
+        turn = cmath.phase(stored.get(self.numbers.get(self.slack, 0), 1 + 0j))
+        far = {
+            number: abs(here - there * cmath.exp(-1j * turn))
+            for number, there in stored.items()
+            if (here := self.out.voltages.get(self.bus_of.get(number, ""), 0j))
+        }
+        if far and set(stored.values()) != {1 + 0j}:
+            bus = max(far, key=far.__getitem__)
+            what = "largest difference from the voltages that the file stores, as phasors"
+            self.notes.append(f"{what}: {far[bus]:.2g} p.u. at bus {bus}")
 
     def _add_branch(
         self, name: str, ends: tuple[Any, Any], ohms: complex, siemens: tuple[complex, complex], ratio: complex = 1.0
@@ -346,15 +448,17 @@ class _Tables:
     def _add_injections(self) -> None:
         loads, shunts = self.net.get_loads(), self.net.get_shunt_compensators()
         for _, row in loads[loads["connected"] & (loads["bus_id"] != "")].iterrows():
-            self.out.add_load(row.bus_id, row.bus_id, complex(row.p0, row.q0), complex(row.p, row.q))
+            name = f"bus {self.numbers.get(row.bus_id, row.bus_id)}"
+            self.out.add_load(row.bus_id, name, complex(row.p0, row.q0), complex(row.p, row.q))
         for key, row in self.buses.iterrows():
             self.out.loads[key] += complex(row.get("fictitious_p0", 0.0), row.get("fictitious_q0", 0.0))
         for _, row in shunts[shunts["connected"] & (shunts["bus_id"] != "")].iterrows():
             self.out.shunts[row.bus_id] += complex(row.g, row.b) * self.volts[row.bus_id] ** 2 / solved_case.BASE_MVA
 
     def _add_generators(self) -> None:
+        machines = self.net.get_generators(all_attributes=True)
         of_raw = {} if self.raw is None else self.raw.machines()
-        for role, table in (("machine", self.net.get_generators()), ("static", self.net.get_batteries())):
+        for role, table in (("machine", machines), ("static", self.net.get_batteries())):
             for name, row in table[table["connected"] & (table["bus_id"] != "")].iterrows():
                 of_name = re.fullmatch(r"B(\d+)-G(.*)", str(name))
                 place = (of_name[1], of_name[2].strip('" ')) if of_name else ("", "1")
@@ -363,18 +467,14 @@ class _Tables:
                 limits = row.max_q, row.max_p if row.bus_id == self.slack else 0.0
                 rated = float(row.get("rated_s", math.nan))
                 taken = complex(row.p, row.q)
-                self.out.infeeds.append(
-                    solved_case.Infeed(
-                        name=str(name),
-                        bus=row.bus_id,
-                        machine_id=place[1],
-                        role={"WIND": "wind", "SOLAR": "static"}.get(source, role),
-                        power=-taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q),
-                        rating_mva=data["mbase"] or (rated if 0.0 < rated < solved_case.UNLIMITED else None),
-                        impedance=complex(data["zr"], data["zx"]),
-                        least_mva=max([float(v) for v in limits if v < solved_case.UNLIMITED], default=0.0),
-                    )
-                )
+                power = -taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q)
+                infeed = solved_case.Infeed(name=str(name), bus=row.bus_id, power=power, machine_id=place[1])
+                infeed.role = {"WIND": "wind", "SOLAR": "static"}.get(source, role)
+                infeed.rating_mva = data["mbase"] or (rated if 0.0 < rated < solved_case.UNLIMITED else None)
+                infeed.impedance = complex(data["zr"], data["zx"])
+                infeed.limits_mvar = float(row.get("min_q_at_p", math.nan)), float(row.get("max_q_at_p", math.nan))
+                infeed.least_mva = max([float(v) for v in limits if v < solved_case.UNLIMITED], default=0.0)
+                self.out.infeeds.append(infeed)
         slack = [each for each in self.out.infeeds if each.bus == self.slack and each.role == "machine"]
         for each in slack:
             each.power += self.missing_mw / len(slack)

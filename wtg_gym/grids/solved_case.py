@@ -21,6 +21,10 @@ BASE_MVA = 100.0
 TOLERANCE = 1e-6
 #: Phase shift around a loop that counts as one [rad].
 _LEAST_SHIFT = 1e-9
+#: Notes of readers.
+NO_SLACK = "the case names no slack bus; the one of the largest generator is taken: {}"
+OFF = "buses out of service with {:.6g} MW of load: {}"
+_OTHER = "the grid would not be the one of the file"
 #: Difference between a load and what the solution takes that rounding makes [MVA].
 _NO_CHANGE_MVA = 1e-4
 #: Power from which on a limit means none [MW, Mvar]: files have 9900 or 9999.
@@ -51,6 +55,7 @@ class Infeed:
     role: str = "machine"
     rating_mva: float | None = None  # MBASE of a RAW file
     least_mva: float = 0.0  # rating that its limits ask for
+    limits_mvar: tuple[float, float] = (-math.inf, math.inf)
     impedance: complex = 1j  # ZSORCE of a RAW file [p.u. of the rating]
 
 
@@ -63,6 +68,7 @@ class SolvedCase:
     frequency_hz: float
     slack: Key
     voltages: dict[Key, complex]  # of every bus [p.u.]
+    load_mw: float = 0.0  # of all in the solution: what generators give beyond losses and shunts
     places: dict[Key, tuple[float, float]] = field(default_factory=dict)
     numbers: dict[Key, int] = field(default_factory=dict)  # of the buses, where the file has some
     branches: list[TwoPort] = field(default_factory=list)
@@ -73,7 +79,9 @@ class SolvedCase:
 
     def add_load(self, bus: Key, name: Any, load: complex, taken: complex) -> None:
         """Add the load at a bus, which is called `name` in notes, as the solution takes it [MVA]."""
-        if cmath.isfinite(taken) and abs(taken - load) > _NO_CHANGE_MVA:
+        # No value stands for a part that is 0.
+        taken = complex(*(b if math.isnan(a) else a for a, b in ((taken.real, load.real), (taken.imag, load.imag))))
+        if abs(taken - load) > _NO_CHANGE_MVA:
             what = f"the load at {name} is no constant power (constant impedance or current)"
             self.notes.append(f"{what}: {taken:.6g} MVA are taken, not {load:.6g}")
             load = taken
@@ -104,6 +112,7 @@ def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) 
     records = _machines(case, numbers, dynamics)
     wind = {numbers[infeed.bus] for infeed in case.infeeds if infeed.role == "wind"}
     network_case = _network_case(case, numbers, records)
+    _note_limits(case, numbers)
     differences = _compare(network_case, case, numbers, turned)
     case.notes.append(f"its power flow is that of {case.library}; largest differences [p.u., rad]: {differences}")
     return Grid(case=network_case, replaced=tuple(sorted(wind)), substitutions=tuple(dict.fromkeys(case.notes)))
@@ -170,7 +179,9 @@ def _take_connected(case: SolvedCase, drop: Collection[str]) -> None:
     refuse_unread({"island": (len(live), sum(live))}, drop, case.notes)
     apart = [key for key in case.voltages if key not in connected]
     if apart and not live:
-        case.notes.append(f"buses without connection to the slack bus are left out: {_listed(apart)}")
+        texts = [case.numbers.get(key, key) for key in apart]
+        case.notes.append(f"buses without connection to the slack bus are left out: {listed(texts)}")
+    case.load_mw -= sum(case.loads[key].real for key in apart if case.voltages[key] and key in case.loads)
     case.branches = [branch for branch in case.branches if branch.ends[0] in connected]
     case.infeeds = [infeed for infeed in case.infeeds if infeed.bus in connected]
     for values in (case.voltages, case.loads, case.shunts):
@@ -178,7 +189,8 @@ def _take_connected(case: SolvedCase, drop: Collection[str]) -> None:
             del values[key]
 
 
-def _listed(keys: Iterable[Key]) -> str:
+def listed(keys: Iterable[Any]) -> str:
+    """Return the first keys of many as a text."""
     texts = [str(key) for key in keys]
     return ", ".join(texts[:20]) + (f" and {len(texts) - 20} more" if len(texts) > 20 else "")
 
@@ -201,7 +213,7 @@ def _without_common_shifts(case: SolvedCase) -> dict[Key, float]:
     if n := sum(angle != 0.0 for angle in turned.values()):
         case.notes.append(f"phase shifts that are the same along every path are left out: {n} buses turn with them")
     if shifters := [branch.name for branch in case.branches if branch.phase_rad]:
-        case.notes.append(f"phase shifters, at a constant shift: {_listed(shifters)}")
+        case.notes.append(f"phase shifters, at a constant shift: {listed(shifters)}")
     return turned
 
 
@@ -245,6 +257,21 @@ def _machines(
     return records
 
 
+def _note_limits(case: SolvedCase, numbers: dict[Key, int]) -> None:
+    """Note machines whose reactive power in the solution is beyond their limits, which a grid does not have."""
+    beyond = [
+        f"{each.name} at bus {numbers[each.bus]} {each.power.imag:.4g} ({least:g} … {most:g})"
+        for each in case.infeeds
+        for least, most in [each.limits_mvar]
+        # Equal ones, as 0 of an external grid, or NaN mean none.
+        if each.role == "machine"
+        and least < most
+        and (each.power.imag < least - _NO_CHANGE_MVA or each.power.imag > most + _NO_CHANGE_MVA)
+    ]
+    if beyond:
+        case.notes.append(f"reactive limits are not kept; beyond theirs [Mvar]: {listed(beyond)}")
+
+
 #: Rating over the apparent power that a machine gives, and the least one [MVA]: a power flow may ask a small condenser
 #: for more reactive power than its limits allow.
 _MARGIN, _LEAST_MVA = 1.3, 50.0
@@ -285,37 +312,16 @@ def _network_case(
         charging = 2.0 * far.imag
         case.shunts[one] += (near - 0.5j * charging) / branch.tap**2
         case.shunts[other] += far.real
-        branches.append(
-            made(
-                branch.name,
-                Branch,
-                from_bus=numbers[one],
-                to_bus=numbers[other],
-                resistance=branch.impedance.real,
-                reactance=branch.impedance.imag,
-                charging=charging,
-                tap=branch.tap,
-                phase_rad=branch.phase_rad,
-            )
-        )
+        values: dict[str, Any] = {"from_bus": numbers[one], "to_bus": numbers[other], "charging": charging}
+        values |= {"resistance": branch.impedance.real, "reactance": branch.impedance.imag}
+        branches.append(made(branch.name, Branch, **values, tap=branch.tap, phase_rad=branch.phase_rad))
     buses = []
     for key, voltage in case.voltages.items():
         load, shunt, number = case.loads.get(key, 0j), BASE_MVA * case.shunts.get(key, 0j), numbers[key]
         x, y = case.places.get(key, (None, None))
-        buses.append(
-            made(
-                f"bus {number}",
-                Bus,
-                number=number,
-                load_mw=load.real,
-                load_mvar=load.imag,
-                shunt_mw=shunt.real,
-                shunt_mvar=shunt.imag,
-                voltage_pu=round(abs(voltage), 9) if number in held else None,
-                x=x,
-                y=y,
-            )
-        )
+        values = {"load_mw": load.real, "load_mvar": load.imag, "shunt_mw": shunt.real, "shunt_mvar": shunt.imag}
+        values["voltage_pu"] = round(abs(voltage), 9) if number in held else None
+        buses.append(made(f"bus {number}", Bus, number=number, **values, x=x, y=y))
     return NetworkCase(
         name=case.name,
         base_mva=BASE_MVA,
@@ -375,9 +381,12 @@ def _compare(made: NetworkCase, case: SolvedCase, numbers: dict[Key, int], turne
             if not difference <= TOLERANCE:
                 unit = "rad" if what == "angle" else "p.u."
                 raise ValueError(
-                    f"bus {numbers[key]}: {what} {here:.9g} {unit} here, {there:.9g} {unit} in {case.library}; "
-                    "the grid would not be the one of the file"
+                    f"bus {numbers[key]}: {what} {here:.9g} {unit} here, {there:.9g} {unit} in {case.library}; {_OTHER}"
                 )
+    load_mw = made.load_mw + sum(infeed.power.real for infeed in case.infeeds if infeed.role == "load")
+    largest["total load"] = abs(load_mw - case.load_mw) / max(BASE_MVA, abs(case.load_mw))
+    if not largest["total load"] <= TOLERANCE:
+        raise ValueError(f"total load {load_mw:.9g} MW here, {case.load_mw:.9g} MW in {case.library}; {_OTHER}")
     return ", ".join(f"{what} {difference:.1e}" for what, difference in largest.items())
 
 
