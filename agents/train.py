@@ -24,18 +24,14 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
-from agents.multi_agent import SharedPolicy, agent_env
 from agents.run import Run, RunOptions, RunSettings, begin_or_go_on, loading, run_command
-from wtg_gym.envs import EnvSettings
 from wtg_gym.files import interpreting, read_text, require_plain
 from wtg_gym.progress import Progress
 from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv
 from wtg_gym.scenarios import get_suite
 
-#: PPO of which one network acts for every WTG group.
-IPPO = "ippo"
 #: The algorithms by name; RL Zoo calls recurrent_ppo ppo_lstm.
-TRAINED: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "recurrent_ppo": RecurrentPPO, IPPO: PPO}
+TRAINED: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "recurrent_ppo": RecurrentPPO}
 CONFIG_FOLDER = Path(__file__).parent / "configs"
 #: A text that begins so is a schedule that falls linearly to zero.
 _LINEAR = "lin_"
@@ -84,16 +80,13 @@ def normalization_arguments(raw: Mapping[str, Any]) -> dict[str, Any] | None:
 class SB3Learner:
     """A learner of Stable-Baselines3, for :class:`agents.run.Run`."""
 
-    def __init__(self, model: BaseAlgorithm, settings: RunSettings) -> None:
-        self.model, self._settings = model, settings
+    def __init__(self, model: BaseAlgorithm) -> None:
+        self.model = model
 
     @property
     def network(self) -> torch.nn.Module:
         """The deterministic policy for the environment of its run."""
-        network = DeterministicPolicy(self.model)
-        if self._settings.algo == IPPO:
-            return SharedPolicy(network, EnvSettings(**self._settings.env_arguments))
-        return network
+        return DeterministicPolicy(self.model)
 
     def save(self, folder: Path) -> None:
         """Write what training goes on from into an empty folder."""
@@ -105,9 +98,7 @@ class SB3Learner:
 
 
 def _environments(settings: RunSettings) -> VecEnv:
-    """Return the environments that a run learns in, one for each agent of IPPO."""
-    if settings.algo == IPPO:
-        return VecMonitor(agent_env(settings))
+    """Return the environments that a run learns in."""
     return VecMonitor(SB3VecEnv(settings.n_envs, reward="score", **settings.env_arguments))
 
 
@@ -154,7 +145,7 @@ def train(run: Run) -> None:
     env = model.get_env()
     assert env is not None
     try:
-        run.begin(SB3Learner(model, settings))
+        run.begin(SB3Learner(model))
         model.set_logger(configure(str(run.folder / "tensorboard"), ["tensorboard"]))
         with Progress("thousand steps") as progress:
             supervision = _Supervision(run, progress, model.num_timesteps)
@@ -188,7 +179,7 @@ class _Supervision(BaseCallback):
 
     def take_stock(self, *, finished: bool = False) -> None:
         """Validate, keep the best policy, and write a checkpoint, where it is time for it."""
-        learner = SB3Learner(self.model, self._run.settings)
+        learner = SB3Learner(self.model)
         metrics = self._run.take_stock(learner, self.model.num_timesteps, finished=finished)
         for key, value in (metrics or {}).items():
             self.logger.record(f"validation/{key}", value)
@@ -196,7 +187,7 @@ class _Supervision(BaseCallback):
 
 def command(
     *,
-    algo: Literal["ppo", "recurrent_ppo", "sac", "ippo"] | None = None,
+    algo: Literal["ppo", "recurrent_ppo", "sac"] | None = None,
     config: Path | None = None,
     options: RunOptions = RunOptions(),
 ) -> None:
@@ -204,10 +195,6 @@ def command(
 
     Everything about it is written to a folder: run.json, TensorBoard's files, the policy with the best validation
     score, and a checkpoint to go on from with --resume after an interruption of any kind.
-
-    With "ippo" (independent PPO with shared parameters) every WTG group plays the same policy by itself, from what it
-    measures itself. An environment is then one group of one episode: one step of an episode is as many steps as it has
-    groups.
 
     Args:
         algo: the algorithm

@@ -23,7 +23,6 @@ _LSTM = {"net_arch": [8], "lstm_hidden_size": 4, "n_lstm_layers": 2}
 _SMALL = {"policy_kwargs": {"net_arch": [8]}}
 CONFIGS = {
     "ppo": {**_PPO, **_SMALL},
-    "ippo": {**_PPO, **_SMALL},
     # Its small network learns too little with another rate to differ from the law itself, which the gate refuses.
     "recurrent_ppo": {**_PPO, "policy": "MlpLstmPolicy", "learning_rate": 0.02, "policy_kwargs": _LSTM}
     | {"use_sde": False},

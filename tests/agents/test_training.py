@@ -12,27 +12,22 @@ import shutil
 from pathlib import Path
 from typing import get_args, get_type_hints
 
-import numpy as np
 import pytest
 import torch
 import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from torch import nn
 
 from agents import shipped
 from agents import train as training
 from agents.export import export
 from agents.export import main as export_command
-from agents.multi_agent import AgentVecEnv, SharedPolicy
 from agents.run import Run, RunSettings, folders, held, save_folder
 from agents.train import CONFIG_FOLDER, TRAINED, SB3Learner, load_model, main, new_model, read_config
 from tests.agents.small import ENV_ID, V0, Normalized, config_file, largest_difference, stopped_after, trained
-from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import OnnxPolicy, load_entries
 from wtg_gym.files import sha256
 from wtg_gym.policies.entry_folder import policy_folders
 from wtg_gym.policies.gate import check_submission
-from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.tasks.episode import ACTION_MODES
 from wtg_gym.tasks.observation import OBSERVATION_MODES
 
@@ -68,7 +63,7 @@ def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(algo, ru
     (checkpoint,), run = folders(stopped / "checkpoints"), Run.read(stopped)
     first, restored = new_model(run.settings), load_model(checkpoint, run.settings)
     assert restored.num_timesteps == 256
-    assert run.validate(SB3Learner(restored, run.settings), 256)["score"] == run.curve[-2]["score"]
+    assert run.validate(SB3Learner(restored), 256)["score"] == run.curve[-2]["score"]
     starts = [torch.as_tensor(model.get_env().reset()) for model in (first, restored)]
     assert not same(*starts)
     if algo == "sac":
@@ -91,10 +86,9 @@ def test_export_plays_as_the_learner_and_passes_the_gate(algo, run_of, tmp_path)
     assert (entry.name, entry.training_seed, entry.kind, entry.source) == ("mine", 0, "learned", "A. Author")
     ((best,), (checkpoint,)) = (folders(folder / name) for name in ("best", "checkpoints"))
     assert (best / "policy.onnx").read_bytes() == (tmp_path / "entry" / "policy.onnx").read_bytes()
-    if algo != "ippo":
-        model = load_model(checkpoint, run.settings)
-        assert largest_difference(Normalized(model), OnnxPolicy(best / "policy.onnx"), run.settings) <= 1e-6
-        model.get_env().close()
+    model = load_model(checkpoint, run.settings)
+    assert largest_difference(Normalized(model), OnnxPolicy(best / "policy.onnx"), run.settings) <= 1e-6
+    model.get_env().close()
 
 
 @pytest.mark.parametrize("missing", ["row", "checkpoint"])
@@ -224,8 +218,6 @@ def test_what_cannot_go_on_is_named(copied, capsys):
         (["--algo", "ppo", *NEW, "--config", "key.yml"], "ppo refuses .* unexpected keyword argument 'frame_stack'"),
         (["--algo", "ppo", *NEW, "--config", "no.yml"], "cannot read the hyperparameter file"),
         (["--algo", "ppo", *NEW, "--suite", "paper"], "fixed list of cases"),
-        (["--algo", "ippo", "--n-envs", "7", *NEW], "n_envs must be a whole multiple of the 2 WTG groups"),
-        (["--algo", "ippo", "--observation-mode", "privileged", *NEW], "leave out --observation-mode"),
         (["--resume", "no-such-run"], "cannot read the description of the run"),
         (["--resume", "no-such-run", "--seed", "1", "--n-envs", "2"], "leave out --n-envs, --seed"),
     ],
@@ -311,56 +303,6 @@ def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
     record = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))["ppo-v1-2"]
     assert (record["steps"], record["validation_score"], record["wall_time_s"]) == (2_150_400, 102.5, 70)
     assert "| 1.2 |" in shipped.table()
-
-
-def test_envs_are_the_groups_of_the_episodes():
-    arguments = {**SHORT, "groups": 3}
-    episodes, groups = SB3VecEnv(2, reward="score", **arguments), AgentVecEnv(SB3VecEnv(2, reward="score", **arguments))
-    for env in (episodes, groups):
-        env.seed(3)
-    seen, split = episodes.reset(), groups.reset()
-    names = episodes.batch.observation_names
-    assert (groups.num_envs, groups.n_wtg) == (6, 3)
-    rng, ends = np.random.default_rng(0), 0
-    for _ in range(60):
-        for env_index in range(6):
-            episode, group = divmod(env_index, 3)
-            # What a group measures, its last actions, and its size.
-            own = [index for index, name in enumerate(names) if name.startswith(f"wtg{group}.")]
-            assert split[env_index].tolist() == [*seen[episode, own], 1.0]
-            assert groups.observation_space.contains(split[env_index])
-        actions = rng.uniform(-1.0, 1.0, (6, 2)).astype(np.float32)
-        seen, rewards, dones, infos = episodes.step(actions.reshape(2, 6))
-        split, each, ended, own_infos = groups.step(actions)
-        assert each.tolist() == np.repeat(rewards, 3).tolist() and ended.tolist() == np.repeat(dones, 3).tolist()
-        for env_index in np.flatnonzero(ended):
-            episode, group = divmod(int(env_index), 3)
-            ends += 1
-            last, own_last = infos[episode]["terminal_observation"], own_infos[env_index]["terminal_observation"]
-            assert own_last[:10].tolist() == last[10 * group : 10 * group + 10].tolist()
-            assert own_infos[env_index]["TimeLimit.truncated"] == infos[episode]["TimeLimit.truncated"]
-    assert ends >= 6
-
-
-class Agent(nn.Linear):
-    """Answers as a learner's network does: a tuple that begins with the actions."""
-
-    def forward(self, observation):
-        return (super().forward(observation),)
-
-
-@pytest.mark.parametrize("suite", ["standard", "standard-v1"])
-def test_every_group_acts_by_what_it_sees_itself_its_size_among_it(suite):
-    settings = EnvSettings(suite=suite)
-    turbines = torch.tensor([float(group.n_turbines) for group in settings.resolved_plant.groups])
-    n, width = len(turbines), 7
-    agent = Agent(width + 1, 2)
-    observations = torch.randn(3, n * width)
-    result = SharedPolicy(agent, settings)(observations)
-    for group in range(n):
-        size = (turbines[group] / turbines.mean()).expand(3, 1)
-        (expected,) = agent(torch.cat([observations[:, width * group : width * (group + 1)], size], dim=1))
-        assert torch.allclose(result[:, 2 * group : 2 * group + 2], expected)
 
 
 def test_modes_of_the_commands_are_those_of_the_environment():
