@@ -113,7 +113,7 @@ class SharedSettings(Checked):
     action_mode: Literal["k", "tau", "k+tau"] = design("k+tau", "-", "what the policy modulates")
     observation_mode: Literal["local", "privileged"] = design("local", "-", "what it sees")
     suite: str = design(DEFAULT_SUITE, "-", "suite to train and validate on")
-    strategy: str = design(tracking_law.REFERENCE_STRATEGY, "-", "law that the actions modulate")
+    strategy: str = design(tracking_law.REFERENCE_LAW, "-", "law that the actions modulate")
     seed: Whole = design(0, "-", "seed of everything random", 0, 2**31 - 1)
     interval: Whole = design(0, "-", "steps between two validations; 0: a 20th of all", 0, 10**12)
     validation_episodes: Whole = design(50, "-", "scenarios of a validation, the first of the split", 1, 10_000)
@@ -160,7 +160,7 @@ class RunSettings(SharedSettings):
             "training_seed": self.seed,
             "environment": get_suite(self.suite).env_id,
         }
-        values |= {} if self.strategy == tracking_law.REFERENCE_STRATEGY else {"strategy": self.strategy}
+        values |= {} if self.strategy == tracking_law.REFERENCE_LAW else {"strategy": self.strategy}
         check_not_built_in("the entry's name", values["name"])
         Entry(**values)
         return values

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from agents.run import BEST, Run, folders, note, run_command
 from wtg_gym import files
-from wtg_gym.plotting.style import DOUBLE_COLUMN_MM, new_figure, printed, save_figure, strategy_looks
+from wtg_gym.plotting.style import DOUBLE_COLUMN_MM, law_looks, new_figure, printed, save_figure
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, policy_folders
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def curves() -> "Figure":
     """Return a figure of validation scores over the minutes of training, of every policy whose record has them."""
     groups = _trainings().items()
     shown = [(name, each["curve"]) for (_, name), seeds in groups for each in seeds.values() if "curve" in each]
-    looks = strategy_looks(dict.fromkeys(name for name, _ in shown))
+    looks = law_looks(dict.fromkeys(name for name, _ in shown))
     figure = new_figure(DOUBLE_COLUMN_MM, 70.0)
     axes = figure.subplots()
     for name, curve in shown:

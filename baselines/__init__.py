@@ -54,7 +54,7 @@ COORDINATED_LINEAR = _baseline(
 )
 #: The paper's law: g through (ω_min, K_opt), (ω_st, K_n), (ω_max, K_pr), constant outside. K_n is the coefficient of
 #: 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards. Zero action of the
-#: environment, with its default strategy, is exactly this law. It scores 100 in v0 and 0 in v1.
+#: environment, with its default `strategy`, is exactly this law. It scores 100 in v0 and 0 in v1.
 COORDINATED_PIECEWISE = _baseline(
     "coordinated-piecewise",
     "The reference: k passes through K_opt, K_n and K_pr; transient damping.",

@@ -96,7 +96,7 @@ def test_every_door_has_the_rule(door, name, tmp_path):
 
 
 def test_command_names_the_law_file_and_the_rule(tmp_path, capsys):
-    for name, message in (("=1+1", "characters on one line"), ("M-PPT", "looks like, that of a built-in strategy")):
+    for name, message in (("=1+1", "characters on one line"), ("M-PPT", "looks like, that of a built-in law")):
         law = _law(name, tmp_path / "x.toml")
         error = error_of(capsys, "simulate", "--strategy", str(law))
         assert message in error and "x.toml" in error

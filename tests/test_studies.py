@@ -24,7 +24,7 @@ from wtg_gym.evaluation.faults import SENSOR_FAULTS, with_fault
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, Recording, _longest_beyond, run_grid_test
 from wtg_gym.physics.parameters import PitchParameters
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.tasks import V1
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -99,10 +99,10 @@ def test_episodes_of_a_dataset_are_those_of_their_players_and_play_again_to_the_
 @pytest.mark.parametrize("strategy", ["mppt", "coordinated-piecewise"])
 def test_simulation_starts_in_the_stable_equilibrium(wind, strategy):
     """At 13 and 20 m/s the pitch protection holds the rotor where captured power or rotor speed reaches its limit."""
-    run = simulate(Scenario(name="x", wind_speed=np.array([[wind], [8.0]]), duration_s=5.0), STRATEGIES[strategy])
-    pitch, k = PitchParameters(), STRATEGIES[strategy].k_nominal
+    run = simulate(Scenario(name="x", wind_speed=np.array([[wind], [8.0]]), duration_s=5.0), LAWS[strategy])
+    pitch, k = PitchParameters(), LAWS[strategy].k_nominal
     limits = pitch.rotor_speed_limit_pu, (pitch.captured_power_limit_pu / k) ** (1.0 / 3.0)
-    speed = min(paper.equilibria(1.0, STRATEGIES[strategy], wind)[-1].rotor_speed_pu, *limits)
+    speed = min(paper.equilibria(1.0, LAWS[strategy], wind)[-1].rotor_speed_pu, *limits)
     assert run.rotor_speed_pu[-1, 0] == pytest.approx(speed, abs=1e-8)
     assert run.power_pu[-1, 0] == pytest.approx(k * speed**3, abs=1e-8)
 

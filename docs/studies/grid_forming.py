@@ -53,7 +53,7 @@ def verdicts(runs):
 def picture(runs):
     """Draw the mean power of all groups and the frequency in every test."""
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 230.0)
-    looks = style.strategy_looks(runs)
+    looks = style.law_looks(runs)
     rows = 2 * -(-len(GRID_TESTS) // 3)
     axes = figure.subplots(rows, 3)
     for k, name in enumerate(GRID_TESTS):

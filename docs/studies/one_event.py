@@ -41,7 +41,7 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
 
     A cross marks where the grid was lost, if it lies in the panel. Grey lines: limits, and where load is shed first.
     """
-    looks, nominal_hz, protection = style.strategy_looks(runs), plant.case.frequency_hz, plant.protection
+    looks, nominal_hz, protection = style.law_looks(runs), plant.case.frequency_hz, plant.protection
     design_hz = DESIGN_DEVIATION_MHZ / 1000.0
     limits_hz = {
         "grid lost": nominal_hz * protection.frequency_min_pu,
@@ -90,7 +90,7 @@ def plot_energy(
     scenario: Scenario, runs: Mapping[str, Recorded], of_strata: Mapping[str, Mapping[str, Recorded]]
 ) -> Figure:
     """Draw the energy that the rotors of each group have lent in a scenario, and all of them on average in strata."""
-    figure, looks = style.new_figure(style.DOUBLE_COLUMN_MM, 110.0), style.strategy_looks(runs)
+    figure, looks = style.new_figure(style.DOUBLE_COLUMN_MM, 110.0), style.law_looks(runs)
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
     for letter, axes, (name, run) in zip("ab", panels[0], runs.items(), strict=True):
         style.letter_panel(axes, letter, f"{name}: energy lent by each group [MJ]")

@@ -28,7 +28,7 @@ from wtg_gym.physics.converter import converter_constants, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.physics.tracking_law import LAWS, REFERENCE_LAW
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.plotting import plot_trajectories, save_figure, style
 from wtg_gym.scenarios import get_suite
@@ -37,11 +37,11 @@ TURBINE, CONTROL = TurbineParameters(), GridFormingParameters()
 CORNERS = (CONTROL.frequency_min_pu, CONTROL.frequency_setpoint_pu, CONTROL.frequency_max_pu)
 WINDS = (11.4, 8.0)  # of the two groups of the case studies [m/s]
 K_P = 1.45  # synchronising coefficient at which the paper's margins come out [p.u./rad]
-LINEAR = STRATEGIES["coordinated-linear"]
+LINEAR = LAWS["coordinated-linear"]
 #: The loop whose margin the paper gives as about 28°.
 UNDAMPED = dataclasses.replace(LINEAR, name="coordinated-linear-undamped", damping_time_constant_s=0.0)
 SIDES = ("under", "over")  # of ω_st, where the slopes of g(ω) differ
-COMPARED = (REFERENCE_STRATEGY, "deloaded-5", "deloaded-10")
+COMPARED = (REFERENCE_LAW, "deloaded-5", "deloaded-10")
 LEAST_RATIO, RATIO_STEP = 1.0, 0.1  # tip-speed ratios of the search for equilibria [-]
 NOMINAL_HZ = 50.0
 ANGULAR_FREQUENCY = 2.0 * math.pi * NOMINAL_HZ
@@ -296,7 +296,7 @@ def smaller(key, changes, **further):
 
 def run_case(seed):
     """Run a case study under every strategy: 0 is the load increase, 1 the load decrease."""
-    return {name: simulate(get_suite("paper").scenario(seed), law) for name, law in STRATEGIES.items()}
+    return {name: simulate(get_suite("paper").scenario(seed), law) for name, law in LAWS.items()}
 
 
 def paper_claims(increase, decrease):
@@ -313,7 +313,7 @@ def paper_claims(increase, decrease):
 
 
 def fixed_strategies():
-    laws = (STRATEGIES[name] for name in ("mppt", *COMPARED[1:]))
+    laws = (LAWS[name] for name in ("mppt", *COMPARED[1:]))
     mppt, five, ten = ([named_points(law, wind) for wind in WINDS] for law in laws)
     powers, limits = [p["B"].power_pu / p["A"].power_pu for p in mppt], [p["B"].frequency_pu for p in mppt]
     inverse = max(powers) < 1.0 and CORNERS[0] < limits[0] < limits[1]
@@ -338,7 +338,7 @@ def fixed_strategies():
 
 def coordination():
     # Above these winds the pitch protection sets in.
-    law, winds = STRATEGIES[REFERENCE_STRATEGY], np.arange(4.0, 11.51, 0.5).tolist()
+    law, winds = LAWS[REFERENCE_LAW], np.arange(4.0, 11.51, 0.5).tolist()
     worst = max(share_error(CONTROL, wind) for wind in winds)
     yield claim("coordination", worst < 1e-4, {"largest_deviation": worst}, percent=100.0 * worst)
     monotonic, frequencies = True, np.linspace(CORNERS[0], CORNERS[2], 33).tolist()
@@ -353,7 +353,7 @@ def coordination():
 
 def share_error(control, wind_m_s):
     """Return how far the captured shares at ω_min, ω_st and ω_max are from 100, 95 and 90 %."""
-    law, available = STRATEGIES[REFERENCE_STRATEGY], float(available_power_pu(wind_m_s))
+    law, available = LAWS[REFERENCE_LAW], float(available_power_pu(wind_m_s))
     wanted = zip(CORNERS, (1.0, 0.95, 0.90), strict=True)
     return max(
         abs(equilibria(frequency, law, wind_m_s, control=control)[-1].power_pu / available - share)
@@ -362,7 +362,7 @@ def share_error(control, wind_m_s):
 
 
 def stability():
-    laws = (*(STRATEGIES[name] for name in COMPARED[1:]), LINEAR, UNDAMPED)
+    laws = (*(LAWS[name] for name in COMPARED[1:]), LINEAR, UNDAMPED)
     ideal = ideal_source_loop().margins().phase_margin_deg
     *deloaded, damped, undamped = (single_machine(law, WINDS[0]).margins().phase_margin_deg for law in laws)
     yield near("pm-ideal", "pm_deg", ideal)
@@ -370,7 +370,7 @@ def stability():
     yield near("pm-undamped", "pm_deg", undamped)
     yield near("pm-damped", "pm_deg", damped)
     # The coordinated law on droops of 8 … 0.8 % with other virtual inertia: statics, margins, and the load increase.
-    law, winds, differences, errors, completed = STRATEGIES[REFERENCE_STRATEGY], (6.0, *WINDS), [], [], []
+    law, winds, differences, errors, completed = LAWS[REFERENCE_LAW], (6.0, *WINDS), [], [], []
     for gain, inertia in itertools.product((12.5, 25.0, 62.5, 125.0), (0.5, 2.0, 5.0, 10.0)):
         control = GridFormingParameters(droop_gain_pu=gain, inertia_constant_s=inertia)
         errors += [share_error(control, wind) for wind in winds]
@@ -390,7 +390,7 @@ def stability():
 
 def load_increase(runs):
     """Measure the claims on the load increase, without the settling times."""
-    reference, compared, deloaded = runs[REFERENCE_STRATEGY], [runs[name] for name in COMPARED], COMPARED[1:]
+    reference, compared, deloaded = runs[REFERENCE_LAW], [runs[name] for name in COMPARED], COMPARED[1:]
     yield near("settles", "frequency_pu", float(reference.frequency_hz[-1] / reference.nominal_frequency_hz))
     rotors, ratios = reference.rotor_speed_pu[-1], reference.tip_speed_ratio[-1]
     least, most = (tracking_point(d).tip_speed_ratio for d in (0.0, 0.10))
@@ -422,7 +422,7 @@ def settling():
     """Measure how long power and rotor of WTG 1 take to settle after the first event, at 5 s, of the load increase."""
     scenario = get_suite("paper").scenario(0)
     scenario = dataclasses.replace(scenario, events=scenario.events[:1], duration_s=300.0)
-    runs, values, sooner = {name: simulate(scenario, STRATEGIES[name]) for name in COMPARED}, {}, True
+    runs, values, sooner = {name: simulate(scenario, LAWS[name]) for name in COMPARED}, {}, True
     for quantity in ("power_pu", "rotor_speed_pu"):
         times = []
         for name, run in runs.items():
@@ -479,7 +479,7 @@ def main(docs):
         save_figure(figure, docs / "validation" / "figures" / name, ("svg",))
     for name in ("mppt", *COMPARED):
         file = docs / "validation" / "figures" / f"characteristic-{name}"
-        save_figure(characteristic(STRATEGIES[name]), file, ("svg",))
+        save_figure(characteristic(LAWS[name]), file, ("svg",))
     if (page := docs / "validation.md").exists():
         update_between_markers(page, claims_table(claims), "claims")
     for claim in claims:

@@ -7,7 +7,7 @@ from wtg_gym.envs.batch import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.physics.tracking_law import REFERENCE_LAW
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.plotting import plot_trajectories, save_figure
 from wtg_gym.scenarios import get_suite
@@ -28,7 +28,7 @@ CONCLUSIONS = (
 
 def case_study(scenario, plant):
     """Return the runs of a case by strategy."""
-    return {strategy: simulate(scenario, strategy, plant) for strategy in (REFERENCE_STRATEGY, *OTHERS)}
+    return {strategy: simulate(scenario, strategy, plant) for strategy in (REFERENCE_LAW, *OTHERS)}
 
 
 def never_fails(plant):
@@ -36,7 +36,7 @@ def never_fails(plant):
     n_failed, reasons = 0, []
     for suite in map(get_suite, SUITES):
         scenarios = suite.scenarios(list(suite.validation[:N_SCENARIOS]))
-        statuses = [simulate(scenario, REFERENCE_STRATEGY, plant).status for scenario in scenarios]
+        statuses = [simulate(scenario, REFERENCE_LAW, plant).status for scenario in scenarios]
         if failed := [TERMINATION_REASONS[status] for status in statuses if status != Status.RUNNING]:
             n_failed += len(failed)
             reasons.append(f"{suite.name}: {len(failed)} {failed[0]}")
@@ -64,12 +64,12 @@ def compared(runs, limit_s, quantity):
     end_s = min(limit_s, *(float(run.time_s[-1]) for run in runs.values()))
     values = {strategy: quantity(run, run.time_s < end_s) for strategy, run in runs.items()}
     note = f" until {end_s:.1f} s" if end_s < limit_s else ""
-    return values.pop(REFERENCE_STRATEGY), list(values.values()), note
+    return values.pop(REFERENCE_LAW), list(values.values()), note
 
 
 def verdicts(plant, increase, decrease):
     """Return whether each conclusion holds in a plant, and its numbers."""
-    assert all(runs[REFERENCE_STRATEGY].status == Status.RUNNING for runs in (increase, decrease))
+    assert all(runs[REFERENCE_LAW].status == Status.RUNNING for runs in (increase, decrease))
     yield never_fails(plant)
     yield fail_in_turn(increase)
     nadir, nadirs, note = compared(increase, SECOND_STEP_S, lambda run, before: run.frequency_hz[before].min())

@@ -21,7 +21,7 @@ from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import (
     LARGEST_COEFFICIENT,
-    REFERENCE_STRATEGY,
+    REFERENCE_LAW,
     TIME_CONSTANT_RANGE,
     TrackingLaw,
     Tuning,
@@ -96,7 +96,7 @@ def law_of(x: Floats) -> TrackingLaw:
     A point is how far k lies above K_opt, above K_n and below K_pr, as shares, tenths and shares of K_opt - K_pr, and
     ln(τ / 0.8 s); without the first number k_min is K_opt, and nothing is beyond it.
     """
-    paper = get_law(REFERENCE_STRATEGY)
+    paper = get_law(REFERENCE_LAW)
     span, capped = paper.k_min - paper.k_max, len(x) == 3
     above_opt, above_nominal, below_limit, log_tau = (0.0, *x) if capped else x
     nominal = paper.k_nominal + 0.1 * above_nominal * span
@@ -109,7 +109,7 @@ def law_of(x: Floats) -> TrackingLaw:
 
 def tuning_of(law: TrackingLaw) -> Tuning:
     """Return the numbers that make a law of the piecewise one."""
-    paper = get_law(REFERENCE_STRATEGY)
+    paper = get_law(REFERENCE_LAW)
     away = law.k_min - paper.k_min, law.k_nominal - paper.k_nominal, paper.k_max - law.k_max
     return Tuning(*(offset / (paper.k_min - paper.k_max) for offset in away), law.damping_time_constant_s)
 

@@ -18,7 +18,7 @@ from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import STRATEGIES, group_laws
+from wtg_gym.physics.tracking_law import LAWS, group_laws
 from wtg_gym.scenarios import get_suite
 
 WINDS = (8.0, 11.4)
@@ -105,7 +105,7 @@ def margins_table():
     """Return how the models differ on an infinite bus, and the margins in the 14-bus system, a law in one row."""
     plant, paper = infinite_bus(), get_suite("paper").scenario(0)
     differences, rows, coefficients = [], [], []
-    for law in STRATEGIES.values():
+    for law in LAWS.values():
         in_system = dict(zip(paper.wind_speed[:, 0], np.diag(synchronising_coefficients(paper, law)), strict=True))
         cells, sides = [], ("under", "over") if law.k_min != law.k_max else ("under",)
         for wind in WINDS:

@@ -135,7 +135,7 @@ def test_example_of_a_law_is_printed_and_simulated_under_its_own_name(capsys, tm
     data = json_of(capsys, "simulate", "--duration", "1", "--strategy", str(law), "--json")
     assert [run["strategy"] for run in data["runs"]] == ["reserve-7"]
     other.write_bytes(law.read_bytes())
-    assert "two strategies are called 'reserve-7'" in error_of(capsys, "simulate", "--strategy", str(law), str(other))
+    assert "two laws are called 'reserve-7'" in error_of(capsys, "simulate", "--strategy", str(law), str(other))
 
 
 def test_dumped_scenario_can_be_edited_and_simulated(capsys, tmp_path):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.scenarios import SUITES
 
 # The same examples on every machine, and no data base in the working tree.
@@ -39,7 +39,7 @@ def arguments(draw: Any) -> dict[str, Any]:
     sensed, n = SUITES[suite].sensors is not None, len(SUITES[suite].plant.groups)
     control_dt, simulation_dt = draw(STEPS)
     exact = {"sensors": "exact"} if sensed and draw(st.booleans()) else {}
-    names = st.sampled_from(sorted(STRATEGIES))
+    names = st.sampled_from(sorted(LAWS))
     return {
         "strategy": draw(names | st.lists(names, min_size=n, max_size=n)),
         "action_mode": draw(st.sampled_from(["k", "tau", "k+tau"])),
@@ -136,7 +136,7 @@ def scenarios(draw: Any) -> sc.Scenario:
 
 
 @settings(FUZZ, max_examples=100)
-@given(scenarios(), st.sampled_from(sorted(STRATEGIES)), ON_FAILURE, OBSERVATION_MODES, ACTIONS)
+@given(scenarios(), st.sampled_from(sorted(LAWS)), ON_FAILURE, OBSERVATION_MODES, ACTIONS)
 def test_any_scenario_plays_to_a_physical_end(scenario, strategy, on_failure, observation_mode, actions):
     version = "v0" if scenario.sensors is None else "v1"
     env = GFMWTGEnv(

@@ -10,7 +10,7 @@ from tests.envs.rollouts import ACTION_MODES, VERSIONS, actions_of, calm, episod
 from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, GroupTrip, LoadStep, Scenario, get_suite, simulate
 from wtg_gym.envs import CostWeights
 from wtg_gym.physics.grid import DEFAULT_GRID
-from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.scenarios import SUITES
 from wtg_gym.scenarios.draws import SensorDistribution
 from wtg_gym.tasks.cost import COST, COST_TERMS
@@ -43,7 +43,7 @@ def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.n
 
 @pytest.mark.parametrize("scenario", [EVENTFUL, LOW_WIND, eventful()], ids=lambda scenario: scenario.name)
 def test_zero_action_is_the_strategy_to_the_last_bit(scenario):
-    strategies = [*((name, name) for name in STRATEGIES), ("mppt", "deloaded-10")]
+    strategies = [*((name, name) for name in LAWS), ("mppt", "deloaded-10")]
     for names, action_mode in zip(strategies, itertools.cycle(ACTION_MODES), strict=False):
         frequency, speed, coefficient = follow(scenario, strategy=list(names), action_mode=action_mode)
         run = simulate(scenario, names)

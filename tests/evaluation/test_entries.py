@@ -16,7 +16,7 @@ from baselines.tip_speed_feedback import TipSpeedFeedback
 from wtg_gym.evaluation import Entry, load_entries
 from wtg_gym.files import to_json
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import LAWS, REFERENCE_LAW, TrackingLaw, get_law
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.tasks import V0, V1
 from wtg_gym.tasks.observation import of_groups
@@ -48,7 +48,7 @@ UNKNOWN = [
 WRONG = [
     ({"name": ""}, "1 … 60 characters"),
     ({"name": "a", "policy": object()}, "predict"),
-    ({"name": "a", "strategy": "mpp"}, "known strategies: mppt"),
+    ({"name": "a", "strategy": "mpp"}, "known laws: mppt"),
     ({"name": "a", "action_mode": "both"}, "k, tau, k\\+tau"),
     ({"name": "a", "observation_mode": "all"}, "local, privileged"),
     ({"name": "a", "training_seed": -1}, "training_seed"),
@@ -131,7 +131,7 @@ def test_a_training_seed_of_numpy_is_written_as_any_other():
 
 
 def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fingerprint(package):
-    law = STRATEGIES["mppt"]
+    law = LAWS["mppt"]
     other = dataclasses.replace(law, k_max=law.k_max * (1.0 + 1e-15))
     assert Entry(name="another name", strategy=law).identity == Entry(name="mppt", strategy="mppt").identity
     assert Entry(name="mppt", strategy=other).identity != Entry(name="mppt", strategy=law).identity
@@ -145,8 +145,8 @@ def test_baselines_are_those_of_the_version_with_every_built_in_strategy_and_mod
     of_v0, of_v1 = (load_entries("baselines", task=version) for version in (V0, V1))
     assert [entry.name for entry in of_v0] == [*laws, "coordinated-undamped", "tip-speed-feedback"]
     assert [e.name for e in of_v1] == [*laws, "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law"]
-    assert {entry.name: entry.law for entry in of_v0[:-1]} == STRATEGIES
-    assert [entry.kind for entry in of_v0] == ["law"] * len(STRATEGIES) + ["feedback"]
+    assert {entry.name: entry.law for entry in of_v0[:-1]} == LAWS
+    assert [entry.kind for entry in of_v0] == ["law"] * len(LAWS) + ["feedback"]
     environments = {name: load_entries(name)[0].environment for name in ("tip-speed-feedback", "fast-droop", "mppt")}
     assert environments == {"tip-speed-feedback": V0.env_id, "fast-droop": V1.env_id, "mppt": None}
     named = {name for order in baselines.ORDER.values() for name in order if isinstance(name, str)}
@@ -156,7 +156,7 @@ def test_baselines_are_those_of_the_version_with_every_built_in_strategy_and_mod
 def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path):
     shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "mine")
     (own,) = load_entries(tmp_path / "mine")
-    assert (own.strategy, own.environment) == (REFERENCE_STRATEGY, V0.env_id)
+    assert (own.strategy, own.environment) == (REFERENCE_LAW, V0.env_id)
     text = (tmp_path / "mine" / "entry.toml").read_text().replace('environment = "GFMWTG-14bus-v0"\n', "")
     (tmp_path / "mine" / "entry.toml").write_text(f'{text}strategy = "deloaded-5"\n')
     (entry,) = load_entries(tmp_path / "mine")

@@ -12,7 +12,7 @@ from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, 
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import ROTOR_TABLE, GridFormingParameters, TurbineParameters, nrel_5mw
 from wtg_gym.physics.rotor_table import read_rotor_table
-from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, TUNED
+from wtg_gym.physics.tracking_law import LAW_NAMES, LAWS, TUNED
 
 TABLE = read_rotor_table(ROTOR_TABLE)
 RATIO, PITCH, CP = (np.array(v) for v in (TABLE.tip_speed_ratio, TABLE.pitch_deg, TABLE.power_coefficient))
@@ -71,17 +71,17 @@ def g(speed: float, law: TrackingLaw) -> float:
 
 
 def test_laws_are_the_papers_corners_straight_line_and_constants():
-    assert [g(w, STRATEGIES["coordinated-piecewise"]) for w in (0.992, 1.0, 1.008)] == pytest.approx(
+    assert [g(w, LAWS["coordinated-piecewise"]) for w in (0.992, 1.0, 1.008)] == pytest.approx(
         [K_OPT, K_N, K_PR], rel=1e-14
     )
     for speed in (0.993, 0.998, 1.0, 1.003, 1.0075):
         line = (K_OPT - K_PR) / (0.992 - 1.008) * (speed - 1.008) + K_PR
-        assert g(speed, STRATEGIES["coordinated-linear"]) == pytest.approx(line, rel=1e-12)
-        fixed = [g(speed, STRATEGIES[name]) for name in ("mppt", "deloaded-5", "deloaded-10")]
+        assert g(speed, LAWS["coordinated-linear"]) == pytest.approx(line, rel=1e-12)
+        fixed = [g(speed, LAWS[name]) for name in ("mppt", "deloaded-5", "deloaded-10")]
         assert fixed == [K_OPT, K_N, K_PR]
-    assert {law.damping_time_constant_s for law in list(STRATEGIES.values())[:3]} == {math.inf}
+    assert {law.damping_time_constant_s for law in list(LAWS.values())[:3]} == {math.inf}
     damped = ("coordinated-linear", "coordinated-piecewise", "coordinated-undamped")
-    assert [STRATEGIES[name].damping_time_constant_s for name in damped] == [0.8, 0.8, 0.0]
+    assert [LAWS[name].damping_time_constant_s for name in damped] == [0.8, 0.8, 0.0]
 
 
 def test_law_from_toml_by_deloading_equals_the_reference_of_its_turbine(tmp_path):
@@ -117,7 +117,7 @@ def test_tuned_law_follows_the_turbine_as_its_equation_says(name):
             assert k == pytest.approx(min(max(own + share * span, 1e-3), 3.0), rel=1e-12)
         assert tuned.damping_time_constant_s == TUNED[name].time_constant_s
     assert tuned.k_max == 1e-3
-    assert name not in STRATEGIES and name in STRATEGY_NAMES
+    assert name not in LAWS and name in LAW_NAMES
     # Only the free law goes beyond the best coefficient.
     best = max(get_law(name).k_min, get_law(name).k_nominal)
     assert best > K_OPT if name == "coordinated-free" else best == K_OPT

@@ -16,13 +16,13 @@ from wtg_gym.physics.plant import layout_of, plant_tables, with_places
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
-from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.physics.units import PAIRS, UNITS, TripCause
 from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.programs import in_one_table
 from wtg_gym.systems.routines import Routine
 
-LAW = STRATEGIES["coordinated-piecewise"]
+LAW = LAWS["coordinated-piecewise"]
 FAR = ConverterLimitParameters(
     current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
 )
@@ -35,7 +35,7 @@ _FIND_CURRENTS = Routine(CURRENTS[0])
 
 
 def test_kinetic_energy_is_what_was_captured_and_not_delivered(simulator):
-    simulator.start(0, get_suite("gust").scenario(20_003), (LAW, STRATEGIES["mppt"]))
+    simulator.start(0, get_suite("gust").scenario(20_003), (LAW, LAWS["mppt"]))
     before = simulator.wtg_values("rotor_speed")[0]
     recorded(simulator, 30.0)
     gained = 13.0 * (simulator.wtg_values("rotor_speed")[0] - before)
@@ -83,7 +83,7 @@ def test_error_falls_with_the_fourth_power_of_the_step():
 @pytest.mark.parametrize("trips", [False, True])
 def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trips):
     simulator = Simulator(Plant(trips_groups=trips), duration_s=120.0)
-    simulator.start(0, get_suite("paper").scenario(0), (STRATEGIES["mppt"],) * 2)
+    simulator.start(0, get_suite("paper").scenario(0), (LAWS["mppt"],) * 2)
     recorded(simulator, 100.0)
     if trips:
         assert simulator.env_values("status")[0] == Status.RUNNING

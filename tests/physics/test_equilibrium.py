@@ -13,10 +13,10 @@ from wtg_gym.physics import parameters
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import largest_stable_steps, moving_states, state_matrix
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.tracking_law import LAWS
 
 LIMIT = 1e-8
-LAWS = (get_law("coordinated-piecewise"),) * 2
+PAIR = (get_law("coordinated-piecewise"),) * 2
 TOO_FAST = [
     (Plant(case=with_machine(t_d0_subtransient_s=0.009)), r"eigenvalue -11\d.*mainly sync0.psi_1d.* at most 0.022"),
     (
@@ -28,7 +28,7 @@ TOO_FAST = [
 ]
 
 
-@pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
+@pytest.mark.parametrize("law", LAWS.values(), ids=lambda law: law.name)
 def test_no_state_moves_at_the_start_at_any_wind(simulator, law):
     for wind in np.linspace(6.0, 13.0, 20):
         simulator.start(0, extended.scenario(wind=[[wind], [19.0 - wind]]), (law, law))
@@ -37,7 +37,7 @@ def test_no_state_moves_at_the_start_at_any_wind(simulator, law):
 
 def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_it_rests(simulator):
     for low, high in ((3.0, 12.0), (8.0, 15.0), (11.4, 24.0)):
-        simulator.start(0, extended.scenario(wind=[[low], [high]]), (STRATEGIES["coordinated-piecewise"],) * 2)
+        simulator.start(0, extended.scenario(wind=[[low], [high]]), (LAWS["coordinated-piecewise"],) * 2)
         assert extended.largest_rate(simulator) <= LIMIT
         below, above = simulator.wtg_values("pitch")[0]
         assert below == 0.0 and above > 0.0
@@ -132,13 +132,13 @@ def test_a_plant_that_is_too_fast_for_the_step_is_refused(settings, message):
 def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario_but_not_in_the_default_plant():
     simulator = Simulator(Plant(case=with_machine(two_h_s=0.5)))
     light, lighter = (scenario(inertia_scale=scale) for scale in (0.3, 0.05))
-    simulator.prepare([light], LAWS)
+    simulator.prepare([light], PAIR)
     for _ in range(2):
         with pytest.raises(ValueError, match=r"scenario 'x', inertia_scale = 0.05: simulation_dt = 0.025 s"):
-            simulator.prepare([light, lighter], LAWS)
-    simulator.prepare([light], LAWS)
-    Simulator(Plant(simulation_dt=0.04, control_dt=0.2)).prepare([lighter], LAWS)
-    Simulator(Plant(simulation_dt=0.05)).prepare([scenario()], LAWS)
+            simulator.prepare([light, lighter], PAIR)
+    simulator.prepare([light], PAIR)
+    Simulator(Plant(simulation_dt=0.04, control_dt=0.2)).prepare([lighter], PAIR)
+    Simulator(Plant(simulation_dt=0.05)).prepare([scenario()], PAIR)
 
 
 @pytest.mark.parametrize(

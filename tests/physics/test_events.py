@@ -17,10 +17,10 @@ from wtg_gym.physics.parameters import ConverterLimitParameters
 from wtg_gym.physics.protection import FILTER_S, Status, turn_between
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS, Phasor, TripCause
 
-LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
+PAIR = (LAWS["coordinated-piecewise"],) * 2
 ALL = (
     sc.LoadStep(time_s=0.5, bus=3, power_mw=20.0, reactive_mvar=5.0),
     sc.LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.75),
@@ -71,7 +71,7 @@ def check_network(simulator: Simulator) -> None:
 
 
 def test_the_reduced_network_is_the_whole_one_through_every_kind_of_event(simulator):
-    simulator.start(0, scenario(*ALL), LAWS)
+    simulator.start(0, scenario(*ALL), PAIR)
     for _ in range(40):
         simulator.advance()
         check_network(simulator)
@@ -89,18 +89,18 @@ def test_a_load_ramp_is_a_staircase_whose_steps_are_the_means_of_the_intervals_a
     steps = [sc.LoadStep(time_s=time_s, bus=9, power_mw=-15.0 * rise) for time_s, rise in rises]
     result = []
     for events in ((cut, ramp), (cut, *steps)):
-        simulator.start(0, scenario(*events), LAWS)
+        simulator.start(0, scenario(*events), PAIR)
         recorded(simulator, 3.0)
         result.append(simulator.state())
     assert result[0] == pytest.approx(result[1], abs=1e-12)
 
 
 def test_a_env_that_starts_again_has_all_its_units_and_governors(simulator):
-    simulator.start(0, scenario(), LAWS)
+    simulator.start(0, scenario(), PAIR)
     fresh = simulator.blocks.copy()
-    simulator.start(0, scenario(*ALL), LAWS)
+    simulator.start(0, scenario(*ALL), PAIR)
     recorded(simulator, 4.0)
-    simulator.start(0, scenario(), LAWS)
+    simulator.start(0, scenario(), PAIR)
     assert (simulator.blocks == fresh).all()
 
 

@@ -13,7 +13,7 @@ from onnx import ModelProto
 from tests.submissions import models
 from tests.submissions.models import TOML, folder, seed
 from wtg_gym.evaluation import load_entries
-from wtg_gym.physics.tracking_law import STRATEGY_NAMES
+from wtg_gym.physics.tracking_law import LAW_NAMES
 from wtg_gym.policies import gate, policy_process
 from wtg_gym.policies.entry_folder import ROOT, parse_submission, policy_folders, policy_name, read_files
 from wtg_gym.policies.gate import Report, check_submission, conflicts, read_submission, rollout
@@ -290,7 +290,7 @@ def test_neither_folder_nor_entry_has_a_name_by_which_something_is_found(check, 
 def test_everything_that_is_found_by_name_is_refused_as_a_name(tmp_path):
     baselines = {entry.name for version in (V0, V1) for entry in load_entries("baselines", task=version)}
     shipped = {name for path in policy_folders() for name in (path.name, policy_name(path))}
-    for index, name in enumerate(sorted({*STRATEGY_NAMES, *baselines, *filter(None, shipped)})):
+    for index, name in enumerate(sorted({*LAW_NAMES, *baselines, *filter(None, shipped)})):
         assert load_entries(name)
         assert refused(folder(tmp_path / str(index), toml=TOML.replace("Mine", name)))[0] == "entry.toml"
 

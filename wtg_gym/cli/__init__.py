@@ -17,7 +17,7 @@ from wtg_gym.ranges import require_count
 
 #: The commands in the order of the help: where each is, and what it does.
 _COMMANDS = {
-    "simulate": ("simulate:simulate_scenario", "one scenario under one or several strategies: key figures, figure"),
+    "simulate": ("simulate:simulate_scenario", "one scenario under one or several laws: key figures, figure"),
     "play": ("play:play", "hold the frequency by hand, in the browser, against the reference"),
     "evaluate": ("evaluate:evaluate", "score entries on scenarios of a suite"),
     "leaderboard": ("evaluate:leaderboard", "rank entries on a suite and write the table to a README"),
@@ -39,7 +39,7 @@ grids: simulate single scenarios, score controllers on frozen suites of scenario
 _EPILOGUE = """\
 first steps:
   wtg-gym simulate                              the paper's load increase
-  wtg-gym simulate --strategy all --plot a.png  under every strategy, drawn
+  wtg-gym simulate --strategy all --plot a.png  under every law, drawn
   wtg-gym play                                  hold the frequency by hand
   wtg-gym suites                                the suites of scenarios
   wtg-gym evaluate --suite standard-v1          score the baselines of v1

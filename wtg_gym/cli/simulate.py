@@ -1,4 +1,4 @@
-"""`wtg-gym simulate`: one scenario under one or several strategies."""
+"""`wtg-gym simulate`: one scenario under one or several laws."""
 
 from wtg_gym.cli import options, output
 
@@ -12,7 +12,7 @@ def simulate_scenario(
     csv: options.CsvFile | None = None,
     json: options.Json = False,
 ) -> int:
-    """Simulate one scenario under each of the given strategies and print the key figures.
+    """Simulate one scenario under each of the given laws and print the key figures.
 
     These are the lowest and highest frequency, the largest rate of change of frequency over 500 ms, and the final
     frequency, rotor speeds and powers. The scenario is a seed of a suite or a file; its wind can be replaced. A run
@@ -29,7 +29,7 @@ def simulate_scenario(
       wtg-gym simulate --scenario mine.json --json                 simulate it
 
     Args:
-        strategy: strategies by name, 'all', or .toml files with a law; default: the paper's coordinated-piecewise
+        strategy: laws by name, 'all', or .toml files with one; default: the paper's coordinated-piecewise
         example_law: print a law file to start from, and do nothing else: --example-law > my_law.toml
         plot: write a figure of the runs: .png, .svg or .pdf
         csv: write every sample of the runs, units in the header: .csv

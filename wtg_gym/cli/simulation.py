@@ -15,7 +15,7 @@ from wtg_gym.cli.options import ScenarioOptions
 from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, get_law
+from wtg_gym.physics.tracking_law import LAW_NAMES, LAWS, get_law
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
@@ -33,12 +33,12 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
         groups=None if scenario.n_wtg == len(suite.plant.groups) else scenario.n_wtg,
         trips_groups=suite.task.on_failure == "trip",
     )
-    everything = STRATEGIES if suite.task is V0 else STRATEGY_NAMES
+    everything = LAWS if suite.task is V0 else LAW_NAMES
     laws = {}
     for name in dict.fromkeys(law for word in strategies for law in (everything if word == "all" else (word,))):
         law = get_law(name, settings.turbine)
         if law.name in laws:
-            raise ValueError(f"two strategies are called {law.name!r}; give the law in {name} another name")
+            raise ValueError(f"two laws are called {law.name!r}; give the law in {name} another name")
         laws[law.name] = law
     runs = {}
     with Progress("runs") as progress:
@@ -107,7 +107,7 @@ def read_scenario(path: Path, suite: Suite) -> Scenario:
 
 
 def traces_csv(runs: Mapping[str, Trajectory]) -> str:
-    """Return every sample of runs as CSV, with their strategy; groups, machines and buses count from 1."""
+    """Return every sample of runs as CSV, with their law; groups, machines and buses count from 1."""
     text = io.StringIO()
     writer = csv_format.writer(text, lineterminator="\n")
     for strategy, run in runs.items():

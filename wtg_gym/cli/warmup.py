@@ -16,7 +16,7 @@ def warmup() -> int:
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
     from wtg_gym.envs.settings import VERSIONS, EnvSettings
     from wtg_gym.evaluation import evaluate
-    from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+    from wtg_gym.physics.tracking_law import REFERENCE_LAW
     from wtg_gym.physics.trajectory import simulate
     from wtg_gym.systems.compiled import cache_folder, compilation
 
@@ -28,7 +28,7 @@ def warmup() -> int:
             environment.close()
         settings = EnvSettings(version=version)
         seed = settings.resolved_suite.validation[0]
-        simulate(settings.resolved_suite.scenario(seed), REFERENCE_STRATEGY, settings.resolved_plant)
+        simulate(settings.resolved_suite.scenario(seed), REFERENCE_LAW, settings.resolved_plant)
         evaluate([], settings.suite_name, seeds=(seed,), duration_s=1.0)
     done, folder = compilation(), cache_folder()
     where = "not kept, since no folder can be written to" if folder is None else f"kept in {folder}"

@@ -22,7 +22,7 @@ from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, ReactanceStep
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_LAW, get_law
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -165,7 +165,7 @@ class Panel(NamedTuple):
 
 def panels_of(plant: Plant, *, limited: bool) -> tuple[Panel, ...]:
     """Return the panels, from top to bottom, first the left column; with the plant's limits where `limited`."""
-    nominal, law, protection = plant.case.frequency_hz, get_law(REFERENCE_STRATEGY), plant.protection
+    nominal, law, protection = plant.case.frequency_hz, get_law(REFERENCE_LAW), plant.protection
     ratios = tracking_point().tip_speed_ratio, tracking_point(plant.control.deloading_limit).tip_speed_ratio
     free = (0.9 * ratios[0], 1.1 * ratios[1])
     # Beyond ±0.2 Hz the deviation costs four times as much.

@@ -10,7 +10,7 @@ from wtg_gym.physics.grid import DEFAULT_GRID, Grid, file_of
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE, Plant
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
+from wtg_gym.physics.tracking_law import REFERENCE_LAW, TrackingLaw, group_laws
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
 from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, Suite, draws, get_suite, suite_of_grid
 from wtg_gym.tasks import TASKS, Task, episode, observation
@@ -61,7 +61,7 @@ class EnvSettings:
         version: `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
     """
 
-    strategy: str | TrackingLaw | Sequence[str | TrackingLaw] = REFERENCE_STRATEGY
+    strategy: str | TrackingLaw | Sequence[str | TrackingLaw] = REFERENCE_LAW
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str | Suite | None = None
@@ -213,7 +213,7 @@ class EnvSettings:
         return self.task.weights._replace(**changes).checked()
 
     def laws(self) -> tuple[TrackingLaw, ...]:
-        """Return one law per WTG group; a ValueError lists the known strategies."""
+        """Return one law per WTG group; a ValueError lists the known laws."""
         plant = self.resolved_plant
         return group_laws(self.strategy, plant.turbines, plant.control)
 

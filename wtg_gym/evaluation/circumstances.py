@@ -17,7 +17,7 @@ from wtg_gym import __version__
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.physics.tracking_law import REFERENCE_LAW
 from wtg_gym.systems.compiled import source_hash
 
 _PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
@@ -57,9 +57,7 @@ def environment_fingerprint(settings: EnvSettings) -> str:
 
     The first validation scenarios are played for 15 s under the reference law with all actions and observations.
     """
-    probed = dataclasses.replace(
-        settings, strategy=REFERENCE_STRATEGY, action_mode="k+tau", observation_mode="privileged"
-    )
+    probed = dataclasses.replace(settings, strategy=REFERENCE_LAW, action_mode="k+tau", observation_mode="privileged")
     seeds = settings.resolved_suite.seeds("validation")[:_N_SCENARIOS]
     batch = EnvBatch(probed, len(seeds), 1)
     try:

@@ -14,7 +14,7 @@ from wtg_gym.physics import equilibrium, integration, linearisation, reduction
 from wtg_gym.physics.layout import NO_EVENT, BatchData, Floats, rows_of_envs
 from wtg_gym.physics.plant import NO_TASK, Plant, TaskUnits, placed, programs_of
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
+from wtg_gym.physics.tracking_law import REFERENCE_LAW, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_memory, require_range, require_whole, whole_steps
 from wtg_gym.signals import undivided
@@ -195,7 +195,7 @@ class Simulator:
                 rows[self.layout.wtg(name)] = 8.0
             rows[self.layout.env("next_change")] = math.inf
         self._checked = _checked_inertias(settings)
-        reference = group_laws(REFERENCE_STRATEGY, settings.turbines, settings.control)
+        reference = group_laws(REFERENCE_LAW, settings.turbines, settings.control)
         if reference not in self._checked and self._check_nominal(reference):
             self._checked[reference] = 1.0
 

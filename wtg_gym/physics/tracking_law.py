@@ -1,6 +1,6 @@
-"""Strategies: the numbers that each of them gives the tracking law of :mod:`wtg_gym.physics.converter`.
+"""Laws by name: the numbers that each gives the tracking law of :mod:`wtg_gym.physics.converter`.
 
-A strategy's coefficients are those of a turbine and its control: K_opt belongs to the rotor, deloadings and τ to the
+A law's coefficients are those of a turbine and its control: K_opt belongs to the rotor, deloadings and τ to the
 control. Wherever a function takes a `turbine` or a `control`, None is the paper's.
 """
 
@@ -93,17 +93,17 @@ class TrackingLaw:
 
 
 #: The reference policy's strategy: zero action is exactly this.
-REFERENCE_STRATEGY = "coordinated-piecewise"
+REFERENCE_LAW = "coordinated-piecewise"
 #: Deloadings d of the laws with one coefficient and plain droop: maximum power point tracking, and fixed deloaded laws
 #: K_d (paper, equations (9) and (12)) [-].
 _FIXED = {"mppt": 0.0, "deloaded-5": 0.05, "deloaded-10": 0.10}
-#: Every strategy of the paper, and every built-in one.
-_PAPER_NAMES = (*_FIXED, "coordinated-linear", REFERENCE_STRATEGY, "coordinated-undamped")
-STRATEGY_NAMES = (*_PAPER_NAMES, *TUNED)
+#: Every law of the paper, and every built-in one.
+_PAPER_NAMES = (*_FIXED, "coordinated-linear", REFERENCE_LAW, "coordinated-undamped")
+LAW_NAMES = (*_PAPER_NAMES, *TUNED)
 
 
 @functools.lru_cache(maxsize=64)
-def _strategy(name: str, turbine: _Turbine, control: _Control) -> TrackingLaw:
+def _law(name: str, turbine: _Turbine, control: _Control) -> TrackingLaw:
     """Return a built-in law for a turbine and its control.
 
     The reference is K_opt / K_n / K_pr with transient damping (paper, equations (35)-(37)). "coordinated-linear" has
@@ -130,25 +130,25 @@ def _strategy(name: str, turbine: _Turbine, control: _Control) -> TrackingLaw:
     return TrackingLaw(name=name, k_min=low, k_nominal=nominal, k_max=high, damping_time_constant_s=tau)
 
 
-#: The paper's strategies for the paper's turbine; :func:`get_law` makes any built-in one, for any turbine.
-STRATEGIES: Mapping[str, TrackingLaw] = MappingProxyType({name: _strategy(name, None, None) for name in _PAPER_NAMES})
+#: The paper's laws for the paper's turbine; :func:`get_law` makes any built-in one, for any turbine.
+LAWS: Mapping[str, TrackingLaw] = MappingProxyType({name: _law(name, None, None) for name in _PAPER_NAMES})
 
 
 def get_law(strategy: str | Path | TrackingLaw, turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
-    """Return a law by strategy name, for a turbine and its control, or from a TOML file, or as given.
+    """Return a law by name, for a turbine and its control, or from a TOML file, or as given.
 
-    A ValueError says that no strategy has that name, and lists the known ones.
+    A ValueError says that none has that name, and lists the known ones.
     """
     if isinstance(strategy, TrackingLaw):
         return strategy
     if str(strategy).endswith(".toml"):
         return read_law(Path(strategy), turbine)
-    if not isinstance(strategy, str) or strategy not in STRATEGY_NAMES:
+    if not isinstance(strategy, str) or strategy not in LAW_NAMES:
         raise ValueError(
-            f"unknown strategy {str(strategy)!r}; known strategies: {', '.join(STRATEGY_NAMES)}, or a .toml file with "
-            f"a law; other entries play in `wtg-gym evaluate`{did_you_mean(strategy, STRATEGY_NAMES)}"
+            f"unknown strategy {str(strategy)!r}; known laws: {', '.join(LAW_NAMES)}, or a .toml file with "
+            f"a law; other entries play in `wtg-gym evaluate`{did_you_mean(strategy, LAW_NAMES)}"
         )
-    return _strategy(strategy, turbine, control)
+    return _law(strategy, turbine, control)
 
 
 def group_laws(
@@ -158,7 +158,7 @@ def group_laws(
 ) -> tuple[TrackingLaw, ...]:
     """Return one law per WTG group, (n_groups,), for its turbine: the given one for all, or the one given for each.
 
-    A ValueError says that a strategy is unknown, or there are not as many as groups.
+    A ValueError says that a law is unknown, or there are not as many as groups.
     """
     if isinstance(strategies, (str, Path, TrackingLaw)):
         return tuple(get_law(strategies, turbine, control) for turbine in turbines)
@@ -184,8 +184,8 @@ def read_law(path: Path, turbine: _Turbine = None) -> TrackingLaw:
         require_known("keys", data, known)
         coefficients = {f"k_{corner}": _coefficient(data, corner, turbine) for corner in corners}
         name = data.get("name", path.stem)
-        if isinstance(name, str) and plain_name(name) in map(plain_name, STRATEGY_NAMES):
-            raise ValueError(f"name {name!r} is, or looks like, that of a built-in strategy; choose another")
+        if isinstance(name, str) and plain_name(name) in map(plain_name, LAW_NAMES):
+            raise ValueError(f"name {name!r} is, or looks like, that of a built-in law; choose another")
         return TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
 
 

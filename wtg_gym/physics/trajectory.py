@@ -63,7 +63,7 @@ def simulate(
 ) -> Trajectory:
     """Run a scenario and record it; if a protection ends it, the last sample is of that instant.
 
-    There is one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
+    There is one law or its name for all WTG groups, or one per group; a name is the law of the plant's turbine.
     The plant is the paper's by default. A ValueError says that scenario, laws and plant do not fit, or the run cannot
     start.
     """

@@ -238,7 +238,7 @@ def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked
     The panels stand side by side, or `stacked` in a single column.
     """
     figure = style.new_figure(*((style.SINGLE_COLUMN_MM, 120.0) if stacked else (style.DOUBLE_COLUMN_MM, 70.0)))
-    looks = style.strategy_looks(entries)
+    looks = style.law_looks(entries)
     panels = figure.subplots(*((2, 1) if stacked else (1, 2)))
     style.letter_panel(panels[0], "a", "(J + J0) over that of the law at 100 [-]")
     style.letter_panel(panels[1], "b", "runs lost or beyond 0.8 Hz [%]")
@@ -323,7 +323,7 @@ def _scenario_picture(report: Report, seed: int) -> Picture:
 @style.printed
 def _plot_scenario(scenario: Scenario, runs: Mapping[str, recording.Recorded]) -> "Figure":
     figure = style.new_figure(style.SINGLE_COLUMN_MM, 125.0)
-    looks = style.strategy_looks(runs)
+    looks = style.law_looks(runs)
     panels = figure.subplots(len(_PANELS), 1, sharex=True)
     for axes, (label, values) in zip(panels, _PANELS.items(), strict=True):
         for name, run in runs.items():

@@ -1,4 +1,4 @@
-"""How every figure looks: sizes, fonts, a colour and a dash pattern per strategy, and files that repeat bit for bit.
+"""How every figure looks: sizes, fonts, a colour and a dash pattern per law, and files that repeat bit for bit.
 
 Figures are built without pyplot, so that nothing global changes and no window opens; matplotlib is imported by the
 functions that draw.
@@ -37,14 +37,14 @@ _DPI, _MM_PER_INCH = 300, 25.4
 
 @dataclass(frozen=True)
 class Look:
-    """How a strategy is drawn: its colour, and its dashes where dashes do not tell groups apart."""
+    """How a law is drawn: its colour, and its dashes where dashes do not tell groups apart."""
 
     colour: str
     dashes: Dashes = "-"
 
 
-#: Fixed, so that a strategy looks the same in every figure; the dashes tell strategies apart in greyscale.
-STRATEGY_LOOKS = {
+#: Fixed, so that a law looks the same in every figure; the dashes tell laws apart in greyscale.
+LAW_LOOKS = {
     "mppt": Look("#D55E00", (0.0, (5.0, 1.4, 1.2, 1.4))),
     "deloaded-5": Look("#E69F00", (0.0, (3.0, 1.4))),
     "deloaded-10": Look("#CC79A7", (0.0, (7.0, 1.8))),
@@ -52,7 +52,7 @@ STRATEGY_LOOKS = {
     "coordinated-piecewise": Look("#0072B2"),
     "coordinated-undamped": Look("#56B4E9", (0.0, (1.2, 1.2))),
 }
-# Black first, which no strategy has; yellow, weak on white, last.
+# Black first, which no law has; yellow, weak on white, last.
 _FREE_COLOURS = ("#000000", *PALETTE[:6], PALETTE[7])
 _FREE_DASHES: tuple[Dashes, ...] = ("-", (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (0.0, (5.0, 1.4, 1.2, 1.4)))
 
@@ -62,9 +62,9 @@ _STYLE = Path(__file__).with_name("print.mplstyle")
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
-def strategy_looks(labels: Iterable[str]) -> dict[str, Look]:
-    """Return the look of each label: a strategy's own one, what is left of palette and dashes for other labels."""
-    looks = {name: STRATEGY_LOOKS.get(name) for name in labels}
+def law_looks(labels: Iterable[str]) -> dict[str, Look]:
+    """Return the look of each label: a law's own one, what is left of palette and dashes for other labels."""
+    looks = {name: LAW_LOOKS.get(name) for name in labels}
     taken = {look.colour for look in looks.values() if look is not None}
     free = [colour for colour in _FREE_COLOURS if colour not in taken] or _FREE_COLOURS
     others = map(Look, itertools.cycle(free), itertools.cycle(_FREE_DASHES))

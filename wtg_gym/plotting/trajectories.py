@@ -1,4 +1,4 @@
-"""The figure of recorded runs of one scenario under several strategies; marks of events and ends over time."""
+"""The figure of recorded runs of one scenario under several laws; marks of events and ends over time."""
 
 import itertools
 from collections.abc import Callable, Mapping
@@ -36,18 +36,18 @@ _PANELS: Mapping[str, Callable[[trajectory.Trajectory], layout.Floats]] = {
 def plot_trajectories(runs: Mapping[str, trajectory.Trajectory], scenario: Scenario) -> "Figure":
     """Draw frequency, power, rotor speed and k of the first four WTG groups, a column each, in runs by their labels.
 
-    The reference strategy is drawn on top and thick; a cross marks where a run ended before its time; events are
+    The reference law is drawn on top and thick; a cross marks where a run ended before its time; events are
     numbered and explained above.
     """
     n_columns = min(next(iter(runs.values())).power_pu.shape[1], _MOST_COLUMNS)
     figure = style.new_figure(max(style.DOUBLE_COLUMN_MM, _COLUMN_MM * n_columns), 178.0)
     grid = figure.subplots(4, n_columns, sharex=True, squeeze=False, height_ratios=(1.0, 1.15, 1.15, 0.85))
-    looks = style.strategy_looks(runs)
+    looks = style.law_looks(runs)
     for group in range(n_columns):
         style.letter_panel(grid[0, group], "abcd"[group], f"WTG group {1 + group}")
         for axes, (label, values) in zip(grid[:, group], _PANELS.items(), strict=True):
             for name, run in runs.items():
-                width, order = (1.7, 3.5) if name == tracking_law.REFERENCE_STRATEGY else (1.0, 3.0)
+                width, order = (1.7, 3.5) if name == tracking_law.REFERENCE_LAW else (1.0, 3.0)
                 failed, line = run.status != protection.Status.RUNNING, {"linewidth": width, "zorder": order}
                 draw_run(axes, run.time_s, values(run)[:, group], looks[name], failed=failed, label=name, **line)
             mark_instants(axes, scenario, numbered=axes is grid[0, group])

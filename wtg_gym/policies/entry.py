@@ -1,4 +1,4 @@
-"""An entry: a strategy, and the policy that modulates it."""
+"""An entry: a law, and the policy that modulates it."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.names import check_name
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_LAW, TrackingLaw, get_law
 from wtg_gym.ranges import require_choice, require_whole
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.tasks import ANCHOR_NAMES, ANY_GRID, TASKS, V1
@@ -45,7 +45,7 @@ class Entry:
     #: The law that actions modulate: a built-in name, a .toml file, or a law; None: that of a learner's environment, or
     #: the published law without one.
     strategy: str | Path | TrackingLaw | None = None
-    #: Maps observations to actions; None: zero action, which is the strategy itself. A learner of Stable-Baselines3
+    #: Maps observations to actions; None: zero action, which is the law itself. A learner of Stable-Baselines3
     #: that was trained under VecNormalize is exported with :func:`~wtg_gym.export_onnx`.
     policy: Policy | None = None
     action_mode: str = "k+tau"  # or "k", "tau"
@@ -64,7 +64,7 @@ class Entry:
 
     def __post_init__(self) -> None:
         name = check_name("the entry's name", self.name)
-        strategy = self._default_strategy() if self.strategy is None else self.strategy
+        strategy = self._default_law() if self.strategy is None else self.strategy
         object.__setattr__(self, "strategy", strategy)
         object.__setattr__(self, "law", get_law(strategy))
         # Checks the two modes.
@@ -82,13 +82,13 @@ class Entry:
         if self.policy is not None:
             self._check_policy()
 
-    def _default_strategy(self) -> str | TrackingLaw:
+    def _default_law(self) -> str | TrackingLaw:
         """Return the law of a learner's environment, or the published one."""
         learned = learned_in(self.policy)
         if not learned and hasattr(self.policy, "get_vec_normalize_env"):
             raise without_environment(self.name)
         law = learned.get("strategy")
-        return law if isinstance(law, TrackingLaw) else REFERENCE_STRATEGY
+        return law if isinstance(law, TrackingLaw) else REFERENCE_LAW
 
     def _check_policy(self) -> None:
         name, policy = self.name, self.policy
@@ -189,7 +189,7 @@ def check_entries(entries: Sequence[Entry]) -> None:
     check_rows(entry.to_dict() for entry in entries)
     for entry in entries:
         if entry.name in ANCHOR_NAMES and (entry.policy is not None or entry.law != get_law(entry.name)):
-            raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
+            raise ValueError(f"the name {entry.name!r} is reserved for the law itself, which fixes the score")
 
 
 def check_rows(entries: Iterable[Mapping[str, Any]]) -> None:

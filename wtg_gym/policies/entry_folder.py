@@ -1,4 +1,4 @@
-"""Entries by name: built-in strategies, laws in files, folders with a policy, submissions, and Python modules.
+"""Entries by name: built-in laws, laws in files, folders with a policy, submissions, and Python modules.
 
 A policy's folder holds `entry.toml`, which describes it, and `policy.onnx`. A checkout has the trained policies in
 `agents/policies` and the baselines in `baselines`; an installed package has copies of both in `wtg_gym/shipped`,
@@ -19,7 +19,7 @@ from typing import Any
 
 from wtg_gym.files import LARGEST_BYTES, interpreting, parse_toml, read_plain, read_text, write_atomically
 from wtg_gym.names import check_name, check_text, plain_name, short
-from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
+from wtg_gym.physics.tracking_law import LAW_NAMES, get_law
 from wtg_gym.policies.entry import Entry, is_policy
 from wtg_gym.policies.policy_process import OnnxPolicy
 from wtg_gym.ranges import did_you_mean, is_whole
@@ -45,7 +45,7 @@ _CHOICES = {
     "action_mode": tuple(episode.ACTION_MODES),
     "observation_mode": observation.OBSERVATION_MODES,
     "environment": tuple(TASKS),
-    "strategy": STRATEGY_NAMES,
+    "strategy": LAW_NAMES,
 }
 _LARGEST_SEED, _MOST_AUTHORS = 2**32 - 1, 40
 #: The table says itself how many seeds a row has: "seed" in any word, or spread over signs.
@@ -57,16 +57,16 @@ _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 @functools.cache
 def _built_in() -> frozenset[str]:
-    """Return the plain names of the strategies and the baselines, each of which is called like its module."""
+    """Return the plain names of the laws and the baselines, each of which is called like its module."""
     modules = (path.stem for path in (ROOT / BASELINES).glob("*.py"))
-    return frozenset(map(plain_name, (*STRATEGY_NAMES, *modules)))
+    return frozenset(map(plain_name, (*LAW_NAMES, *modules)))
 
 
 def check_not_built_in(what: str, name: str) -> None:
-    """Raise a ValueError if a name is, or looks like, a strategy's or baseline's, or begins with a reserved word."""
+    """Raise a ValueError if a name is, or looks like, a law's or baseline's, or begins with a reserved word."""
     if plain_name(name) in _built_in() or plain_name(name.partition(".")[0]) in map(plain_name, RESERVED):
         raise ValueError(
-            f"{what} must not be, or look like, that of a strategy or a baseline or one of {', '.join(RESERVED)}; "
+            f"{what} must not be, or look like, that of a law or a baseline or one of {', '.join(RESERVED)}; "
             f"got {short(name)}"
         )
 
@@ -269,7 +269,7 @@ def _allowed(text: str) -> str:
         return f"; did you mean {'.'.join(Path(text).with_suffix('').parts) + ':ENTRY'!r}?"
     shipped = (name for folder in policy_folders() if (name := policy_name(folder)))
     baselines = (entry.name for entry in _baselines())
-    names = dict.fromkeys((*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES))
+    names = dict.fromkeys((*LAW_NAMES, *baselines, BASELINES, *shipped, POLICIES))
     known = f'{", ".join(map(repr, names))}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
     return did_you_mean(text, names) or f"; allowed are {known}"
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from wtg_gym.extras import install_advice
 from wtg_gym.files import write_together
-from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
+from wtg_gym.physics.tracking_law import LAW_NAMES, get_law
 from wtg_gym.policies.entry import without_environment
 from wtg_gym.policies.entry_folder import ENTRY_FILE, FILES, POLICY_FILE, entry_text, parse_submission
 from wtg_gym.policies.gate import widths
@@ -64,7 +64,7 @@ def export_onnx(
         raise without_environment(name)
     of_training = {key: getattr(value, "name", value) for key, value in (learned or {}).items()}
     law = of_training.get("strategy")
-    if learned and (law not in STRATEGY_NAMES or get_law(law) != learned["strategy"]):
+    if learned and (law not in LAW_NAMES or get_law(law) != learned["strategy"]):
         raise ValueError(f"a folder's strategy is a built-in one, the learner's was {law!r}: play it by Entry()")
     defaults = {"environment": "GFMWTG-14bus-v1", "action_mode": "k+tau", "training_seed": 0, "authors": ["unnamed"]}
     text = entry_text({"name": name, **defaults, **of_training, **entry})

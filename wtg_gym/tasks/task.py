@@ -203,7 +203,7 @@ class Task:
                 (cost.COST, "weights"): [choices.weights],
                 (episode.ACTING, "reach"): [
                     episode.Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max)
-                    for law in tracking_law.group_laws(tracking_law.REFERENCE_STRATEGY, plant.turbines, plant.control)
+                    for law in tracking_law.group_laws(tracking_law.REFERENCE_LAW, plant.turbines, plant.control)
                 ],
                 (OBSERVED_GRID, "inv_torque"): [_inv_torque(plant)],
                 (SENSED, "group_number"): range(n_wtg),
