@@ -145,6 +145,7 @@ def driven_by(policy: GradientPolicy, batch: EnvBatch) -> Callable[[Floats], Flo
 
 def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
     """Return the learner of a run, and its rounds."""
+    runs.require_local(settings)
     environment = EnvSettings(**settings.env_arguments, reward="cost")
     batch = EnvBatch(environment, settings.n_envs)
     planner = Planner(environment, settings.n_envs, h)

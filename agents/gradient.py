@@ -211,6 +211,8 @@ class GradientLearner(runs.SavedParts):
 
 def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
     """Return the learner of a run, and its rounds."""
+    if h.per_group:
+        runs.require_local(settings)
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     batch = episodes.tape.batch
     failures = Failures(episodes)

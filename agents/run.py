@@ -462,6 +462,12 @@ def begin_or_go_on(
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
 
+def require_local(settings: RunSettings) -> None:
+    """Raise a ValueError if a policy for every group alike would see the whole grid."""
+    if settings.observation_mode != "local":
+        raise ValueError("a policy for every group alike sees local observations: leave out --observation-mode")
+
+
 class Rounds(NamedTuple):
     """A learner and the rounds of equally many steps in which it learns."""
 

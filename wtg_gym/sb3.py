@@ -44,7 +44,7 @@ class SB3VecEnv(VecEnv):
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         if "autoreset_mode" in arguments:
             raise TypeError("autoreset_mode cannot be chosen: Stable-Baselines3 needs resets within the same step")
-        #: The batch that does the work.
+        #: The vector environment that does the work.
         self.vector_env = env = GFMWTGVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
         #: Its batch: states, and every number of `info` by `info_arrays()`.
         self.batch = env.batch
@@ -83,16 +83,16 @@ class SB3VecEnv(VecEnv):
         if self._actions is None:
             raise RuntimeError("call reset() and step_async(actions) before step_wait()")
         actions, self._actions = self._actions, None
-        observations, rewards, terminated, truncated, batch = self.vector_env.step(actions)
+        observations, rewards, terminated, truncated, of_all = self.vector_env.step(actions)
         dones = terminated | truncated
         infos: list[Info] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
         for env_index in np.flatnonzero(dones).tolist():
             infos[env_index] = {
-                **_env_info(batch["final_info"], env_index),
+                **_env_info(of_all["final_info"], env_index),
                 "TimeLimit.truncated": bool(truncated[env_index] and not terminated[env_index]),
-                "terminal_observation": batch["final_obs"][env_index],
+                "terminal_observation": of_all["final_obs"][env_index],
             }
-            self.reset_infos[env_index] = _env_info(batch, env_index)
+            self.reset_infos[env_index] = _env_info(of_all, env_index)
         return observations, rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:

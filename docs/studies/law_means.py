@@ -74,7 +74,9 @@ def main():
     suites = [name for name, suite in SUITES.items() if suite.task is V1 and suite.strata]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("suites", nargs="*", default=suites, metavar="SUITE")
-    parser.add_argument("--fresh", type=int, default=0, metavar="N", help="compare so many other scenarios")
+    parser.add_argument(
+        "--fresh", type=int, default=0, metavar="N", help="play N other scenarios and compare, writing nothing"
+    )
     arguments = parser.parse_args()
     for name in arguments.suites:
         means = law_means(name, arguments.fresh)
@@ -83,13 +85,12 @@ def main():
             kept = {suite: values for suite, values in stored.items() if values["laws"] == list(V1.variates)}
             write_atomically(LAW_MEANS, to_json({**kept, name: means}))
         for stratum, values in means["strata"].items():
-            known = stored[name]["strata"][stratum] if arguments.fresh else {**values, "n": np.inf}
-            errors = np.sqrt(np.diag(values["covariance"]) * (1.0 / values["n"] + 1.0 / known["n"]))
-            away = np.subtract(values["mean"], known["mean"]) / errors
+            known, variances = stored[name]["strata"][stratum], np.diag(values["covariance"])
+            errors = np.sqrt(variances / values["n"])
+            away = np.subtract(values["mean"], known["mean"]) / np.hypot(errors, np.sqrt(variances / known["n"]))
             for law, mean, error, z in zip(means["laws"], values["mean"], errors, away, strict=True):
-                print(
-                    f"{name} {stratum}: {values['n']} scenarios, {law} {mean:.4f} ± {error:.4f}, {z:+.1f} errors away"
-                )
+                compared = f", {z:+.1f} standard errors away" if arguments.fresh else ""
+                print(f"{name} {stratum}: {values['n']} scenarios, {law} {mean:.4f} ± {error:.4f}{compared}")
 
 
 if __name__ == "__main__":

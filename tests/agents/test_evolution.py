@@ -13,7 +13,7 @@ from tests.agents.small import run_and_interrupted_run
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.policies.entry_folder import load_entries
-from wtg_gym.policies.torch_export import TorchPolicy
+from wtg_gym.policies.torch_export import TorchPolicy, export_onnx
 from wtg_gym.tasks import V1
 from wtg_gym.tasks.episode import ACTION_MODES
 
@@ -45,6 +45,28 @@ def test_search_begins_at_the_policy_of_the_file(name):
     assert actions_of(policy, n) == pytest.approx(actions_of(entry.policy, n), abs=1e-6)
 
 
+class Other(torch.nn.Module):
+    """What is built alike, but has another function between its layers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.per_group = True
+        self.layers = torch.nn.Sequential(
+            torch.nn.Linear(7, 4), torch.nn.ReLU(), torch.nn.Linear(4, 1), torch.nn.Tanh()
+        )
+
+    def forward(self, observations):
+        return self.layers(observations)
+
+
+def test_network_with_other_actions_is_refused(tmp_path):
+    modes = {"action_mode": "k", "strategy": "coordinated-free"}
+    export_onnx(Other(), tmp_path, name="mine", per_group=True, **modes)
+    settings = RunSettings(algo="evolution", hyperparameters={}, timesteps=1, n_envs=1, suite="standard-v1", **modes)
+    with pytest.raises(ValueError, match=r"holds no network of .*: its actions are others"):
+        read_policy(tmp_path, settings)
+
+
 def test_what_is_lowered_is_minus_the_score_in_hundreds():
     population = Population(EnvSettings(version="v1", duration_s=40.0), 3, 4)
     batch, policy = population.batch, GradientPolicy(8, 2)
@@ -64,7 +86,7 @@ def test_what_is_lowered_is_minus_the_score_in_hundreds():
 def test_policy_is_the_mean_of_what_was_found():
     policy = GradientPolicy(4, 1)
     before = policy.last.weight.detach().clone()
-    learner = EvolutionLearner(policy, 0, Hyperparameters(population=6, spread=0.5))
+    learner = EvolutionLearner(lambda: policy, 0, Hyperparameters(population=6, spread=0.5))
     candidates = learner.search.ask()
     learner.tell(candidates, ((candidates - 1.0) ** 2).sum(axis=1))
     assert learner.average == pytest.approx(learner.search.mean)
@@ -87,8 +109,13 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
     [
         (["--population", "3"], "population must be a whole number in 4 … 10000, got 3"),
         (["--start", SHIPPED, "--action-mode", "k"], "has strategy = 'coordinated-free', not 'coordinated-piecewise'"),
-        (["--start", str(ROOT / "agents/policies/ppo-v1-0"), *ACTS[2:]], "is no policy for every group alike"),
+        (
+            ["--start", str(ROOT / "agents/policies/ppo-v1-0"), *ACTS[2:]],
+            "has per_group = false: its policy sees all groups at once",
+        ),
         (["--start", "no-such-folder", *ACTS], "no-such-folder"),
+        (["--start", SHIPPED, "--hidden", "8", *ACTS], "leave out --hidden and --lstm"),
+        (["--observation-mode", "privileged"], "leave out --observation-mode"),
     ],
 )
 def test_wrong_options_are_refused(options, message, tmp_path, capsys):

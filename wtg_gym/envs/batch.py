@@ -56,7 +56,7 @@ class BatchSnapshot(NamedTuple):
 class PreparedEpisodes(NamedTuple):
     """Episodes that are ready to start."""
 
-    batch: PreparedBatch
+    runs: PreparedBatch
     rows: Rows  # what they begin with
 
 
@@ -203,7 +203,7 @@ class EnvBatch:
         ValueError says that a scenario does not fit the plant or the episode length, or has no such equilibrium.
         """
         try:
-            envs = self.simulator.prepare(scenarios, self.laws, turning=turning)
+            prepared = self.simulator.prepare(scenarios, self.laws, turning=turning)
         except StartError as error:
             if self.settings.draws_again:
                 advice = "`wtg-gym grid check` says how many of its scenarios start"
@@ -212,7 +212,7 @@ class EnvBatch:
         durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
         step_s, plant = self.settings.step_s, self.settings.resolved_plant
         n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in durations])
-        outputs = self._start_tasks(envs, scenarios, n_steps)
+        outputs = self._start_tasks(prepared, scenarios, n_steps)
         if self.settings.scores:
             if self._reference is None:
                 changes: dict[str, Any] = {"observation_mode": "local", "reward": "cost", "duration_s": self.duration_s}
@@ -221,14 +221,14 @@ class EnvBatch:
                 self._reference = EnvBatch(settings, num_envs, n_threads)
             # What the law that scores 100 has paid up to each control step.
             for first in range(0, len(scenarios), self._reference.num_envs):
-                batch = scenarios[first : first + self._reference.num_envs]
-                self._reference.start(range(len(batch)), batch)
-                self._reference.pay(outputs.reference[first : first + len(batch)])
+                part = scenarios[first : first + self._reference.num_envs]
+                self._reference.start(range(len(part)), part)
+                self._reference.pay(outputs.reference[first : first + len(part)])
             outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         seeds = np.array([-1 if scenario.seed is None else scenario.seed for scenario in scenarios], dtype=np.int64)
         margins = np.array([self.suite.margin(scenario, plant) for scenario in scenarios])
         events = _objects([tuple(sorted(each.events, key=lambda event: event.time_s)) for each in scenarios])
-        return PreparedEpisodes(envs, (*outputs, seeds, margins, events))
+        return PreparedEpisodes(prepared, (*outputs, seeds, margins, events))
 
     def next_episode(self, rng: np.random.Generator, env: int, scenario: Scenario | None = None) -> PreparedEpisodes:
         """Return an environment's next episode: the first that starts of the scenarios that its generator draws.
@@ -251,10 +251,10 @@ class EnvBatch:
         return new_outputs(num_envs, self.n_observation, self.n_steps_of_episode if self.settings.scores else -1)
 
     def _start_tasks(
-        self, envs: PreparedBatch, scenarios: Sequence[Scenario], n_steps: npt.NDArray[np.int64]
+        self, prepared: PreparedBatch, scenarios: Sequence[Scenario], n_steps: npt.NDArray[np.int64]
     ) -> Outputs:
         """Write the task's rows of prepared runs; return what their episodes begin with."""
-        simulator, layout, rows = self.simulator, self.simulator.layout, envs.rows
+        simulator, layout, rows = self.simulator, self.simulator.layout, prepared.rows
         rows[:, layout.first_rows(episode.TASK, "end_step")[0]] = n_steps * self.n_substeps
         rows[:, layout.first_rows(episode.HISTORY, "frequency")] = 1.0
         group = layout.first_rows(episode.ACTING, "group")
@@ -270,7 +270,7 @@ class EnvBatch:
             rows[:, places] = numbers
         outputs = self._new_outputs(len(rows))
         blocks, scratches = rows[:, :, np.newaxis], simulator.new_scratches(1, 1)
-        bound = bind(blocks, scratches, simulator.plant.network, envs.data, self.task_data, outputs)
+        bound = bind(blocks, scratches, simulator.plant.network, prepared.data, self.task_data, outputs)
         step_blocks(bound, np.zeros((0, self.n_action)), 0, len(rows), 0, True)
         return outputs
 
@@ -293,7 +293,7 @@ class EnvBatch:
     @undivided
     def start(
         self,
-        envs: Sequence[int],
+        indices: Sequence[int],
         episodes: Sequence[Scenario] | PreparedEpisodes,
         places: Sequence[int] | None = None,
     ) -> None:
@@ -302,18 +302,18 @@ class EnvBatch:
             episodes = self.prepare(episodes)
         # The arrays are new after a snapshot, or with more events than before.
         self._bound = None
-        index = np.array(envs, dtype=np.int64)
+        index = np.array(indices, dtype=np.int64)
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
-        self.simulator.start(index, episodes.batch, places=taken)
+        self.simulator.start(index, episodes.runs, places=taken)
         for array, first in zip(self._rows, episodes.rows, strict=True):
             array[index] = first[taken]
         outputs = self.outputs
         outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False
 
-    def stop(self, envs: npt.NDArray[np.bool_]) -> None:
+    def stop(self, chosen: npt.NDArray[np.bool_]) -> None:
         """End the episodes of a mask's environments, as if their time were over; shape (num_envs,)."""
         steps = self.n_steps()
-        for env in np.flatnonzero(envs):
+        for env in np.flatnonzero(chosen):
             if self.settings.scores and not (self.outputs.terminated[env] or self.outputs.truncated[env]):
                 # Later costs of the reference do not count; what counts makes up for the logarithm now.
                 out = self.outputs
@@ -424,9 +424,9 @@ class EnvBatch:
 
     def close(self) -> None:
         """Stop the threads."""
-        for envs in (self, self._reference):
-            if envs is not None:
-                envs.simulator.close()
+        for batch in (self, self._reference):
+            if batch is not None:
+                batch.simulator.close()
 
     def __getstate__(self) -> dict[str, Any]:
         # Addresses are those of this object's arrays.

@@ -25,8 +25,8 @@ class NextEpisodes:
     are therefore prepared along with those that have ended. Its scenario does not depend on when it was prepared.
     """
 
-    def __init__(self, envs: EnvBatch, generators: Sequence[np.random.Generator]) -> None:
-        self._batch = envs
+    def __init__(self, batch: EnvBatch, generators: Sequence[np.random.Generator]) -> None:
+        self._batch = batch
         self._generators = list(generators)
         #: The prepared group of an environment's episode, and its place there.
         self._ready: dict[int, tuple[PreparedEpisodes, int]] = {}

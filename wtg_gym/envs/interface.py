@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 import numbers
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -101,12 +102,13 @@ class OverBatch:
 
         A TypeError names an argument that is unknown, a ValueError a value that is not allowed.
         """
-        known = [field.name for field in dataclasses.fields(EnvSettings)]
-        if unknown := [name for name in arguments if name not in known]:
+        settings = [field.name for field in dataclasses.fields(EnvSettings)]
+        if unknown := [name for name in arguments if name not in settings]:
+            known = [*settings, *list(inspect.signature(type(self)).parameters)[:-1]]
             # Python's own words come first: TorchRL looks for them to find out which arguments an environment takes.
             raise TypeError(
                 f"{type(self).__name__}.__init__() got an unexpected keyword argument {unknown[0]!r}; "
-                f"known settings: {', '.join(known)}, render_mode{did_you_mean(unknown[0], known)}"
+                f"known settings: {', '.join(known)}{did_you_mean(unknown[0], known)}"
             )
         if render_mode is not None:
             require_choice("render_mode", render_mode, self.metadata["render_modes"])

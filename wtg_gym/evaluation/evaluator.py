@@ -293,16 +293,16 @@ def play_batch(
 ) -> Played:
     """Play and measure one batch of scenarios, or of seeds of the settings' suite, from start to end."""
     try:
-        with started_batch(entry, settings, scenarios, n_threads) as (batch, drawn):
-            courses_hz = frequencies(batch, play(entry, batch))
+        with started_batch(entry, settings, scenarios, n_threads) as (played, drawn):
+            courses_hz = frequencies(played, play(entry, played))
             return [
                 Episode(
                     entry=entry.name,
                     training_seed=entry.training_seed,
-                    seed=int(batch.scenario_seeds[env]),
+                    seed=int(played.scenario_seeds[env]),
                     scenario=scenario.name,
-                    duration_s=min(scenario.duration_s, batch.duration_s),
-                    **measure(batch, env, course_hz),
+                    duration_s=min(scenario.duration_s, played.duration_s),
+                    **measure(played, env, course_hz),
                 )
                 for env, (scenario, course_hz) in enumerate(zip(drawn, courses_hz, strict=True))
             ]

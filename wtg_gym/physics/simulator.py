@@ -162,7 +162,7 @@ class Simulator:
         n_threads: int | None = None,
         intervals_at_once: int = 1,
     ) -> None:
-        self.num_envs = require_whole("the number of environments", num_envs, 1, 1_000_000)
+        self.num_envs = require_whole("num_envs", num_envs, 1, 1_000_000)
         if n_threads is not None:
             n_threads = require_whole("the number of threads", n_threads, 1)
         self.settings = settings

@@ -83,7 +83,7 @@ def onnx_bytes(module: nn.Module, n_observation: int, n_action: int, *, toleranc
     try:
         _check_form(playable, n_observation, n_action)
         content = _exported(playable, n_observation)
-        difference = _largest_difference(playable, content, n_observation)
+        difference = largest_difference(playable, content, n_observation)
     finally:
         for layer, training in modes:
             layer.training = training
@@ -166,7 +166,8 @@ def _exported(playable: _Playable, n_observation: int) -> bytes:
         raise ValueError(f"torch cannot export the {playable.label}: {_first_line(error)}") from error
 
 
-def _largest_difference(playable: _Playable, content: bytes, n_observation: int) -> float:
+def largest_difference(playable: nn.Module, content: bytes, n_observation: int) -> float:
+    """Return how far the actions of a module and of a file are apart on random observations."""
     rng, module = np.random.default_rng(0), TorchPolicy(playable)
     largest, state, file_state = 0.0, None, None
     with OnnxPolicy(content) as policy:
@@ -177,7 +178,7 @@ def _largest_difference(playable: _Playable, content: bytes, n_observation: int)
             try:
                 other, file_state = policy.predict(observations, file_state, start)
             except PolicyError as error:
-                raise ValueError(f"the ONNX file of the {playable.label} cannot be played: {error}") from error
+                raise ValueError(f"the ONNX file of the module cannot be played: {error}") from error
             difference = np.abs(actions - other).max()
             largest = max(largest, float(np.inf if np.isnan(difference) else difference))
     return largest
