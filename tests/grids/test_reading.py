@@ -196,7 +196,7 @@ def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type
     with pytest.raises(ValueError, match=r"statements, such as 'mpc\.bus\(:, 3\) = 1;'"):
         read_case(mpc(tmp_path, after="mpc.bus(:, 3) = 1;"))
     for row, words in (
-        ("3 9 0 1 0 0 0 0 0 0 1;", "names the bus 9"),
+        ("3 9 0 1 0 0 0 0 0 0 1;", "names bus 9"),
         ("1 3 0 1/8 0 0 0 0 0 0 1;", "has .1/8. in row 4, which is no number"),
     ):
         with pytest.raises(ValueError, match=f"its table branch {words}"):
@@ -208,12 +208,19 @@ def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type
     assert grid.case.load_mw == 110.0 and "out of service with 40 MW of load: 4" in notes(grid)
 
 
+STATEMENT = "besides its tables it has statements, such as"
 NOT_A_CASE = [
     ("3 1 90 30", "3 1 NaN 30", "row 3 of its table bus has nan in column 3, which must be finite"),
     ("3 1 90 30", "3 1 90 Inf", "row 3 of its table bus has inf in column 4, which must be finite"),
     ("3 1 90 30", "3 5 90 30", "bus 3 is of type 5; allowed: 1, 2, 3, 4"),
     ("3 1 90 30", "3 0 90 30", "bus 3 is of type 0; allowed: 1, 2, 3, 4"),
-    ("3 1 90 30", "2 1 90 30", "row 2 of its table bus names the bus 2, which is twice there"),
+    ("3 1 90 30", "2 1 90 30", "row 2 of its table bus names bus 2, which is there twice"),
+    ("0 0 1;\n];\nmpc.gen", "0 0 -1;\n];\nmpc.gen", "row 3 of its table branch has the status -1; allowed: 0, 1"),
+    ("100 1 ", "100 0 ", "no generator is in service"),
+    ("mpc.genfuel =", "mpc.dcline = [1];\nmpc.genfuel =", "its table dcline has 1 columns; allowed: 4 or more"),
+    ("function", "mpc.bus_name = {'a', '50% b'};\nmpc.bus(3,3)=500;\nfunction", f"{STATEMENT} 'mpc.bus(3,3)=500;'"),
+    ("function", "mpc.bus_name = {'a... b'};\nmpc.bus(3,3)=500;\nfunction", f"{STATEMENT} 'mpc.bus(3,3)=500;'"),
+    ("function", "%{ a\nmpc.bus(3,3)=500;\n% }%}\nfunction", f"{STATEMENT} 'mpc.bus(3,3)=500;'"),
     ("3 1 90 30", "3.5 1 90 30", "row 3 of its table bus has the bus number 3.5; allowed: whole numbers from 1"),
     ("3 1 90 30", "3 1 90", "row 3 of its table bus has 12 numbers, the first one 13"),
     ("baseMVA = 100.0", "baseMVA = 100/2", "its baseMVA has '100/2' in row 1, which is no number"),
@@ -283,12 +290,60 @@ TWICE = [
 ]
 
 
-@pytest.mark.parametrize(("section", "record", "sentence"), TWICE)
-def test_a_record_that_a_RAW_file_has_twice_is_refused_by_its_name(section, record, sentence, tmp_path):
-    with pytest.raises(ValueError, match=rf"three\.raw: its {sentence}"):
+NOT_THERE = [
+    ("LOAD", "7,'1',1,1,1,25,5,0,0,0,0,1,1,0\n", "load data name the bus 7, which is not there"),
+    ("FIXSHUNT", "7,'1',1,0,20\n", "fixshunt data name the bus 7, which is not there"),
+    ("GENERATOR", "7,'A',10,1,60,-60,1.01,0,100,0,1,0,0,1,1,100,200,0,1,1\n", "generator data name the bus 7, which"),
+    ("BRANCH", "2,-7,'1',0.01,0.1,0,0,0,0,0,0,0,0,1,1,0,1,1\n", "acline data name the bus 7, which is not there"),
+    ("BRANCH", "2,2,'1',0.01,0.1,0,0,0,0,0,0,0,0,1,1,0,1,1\n", "acline data have a branch from bus 2 to itself"),
+    (
+        "TRANSFORMER",
+        "1,3,7,'1',1,1,1,0,0,2,'T',1,1,1\n0,0.2,100\n1,0,0\n1,0,0\n1,0,0\n",
+        "transformer data name the bus 7",
+    ),
+    ("SWSHUNT", "7,0,0,1,1.1,0.9,0,100,'',15,1,20\n", "swshunt data name the bus 7, which is not there"),
+]
+
+
+@pytest.mark.parametrize(("section", "record", "sentence"), [*TWICE, *NOT_THERE])
+def test_a_record_that_a_RAW_file_has_twice_or_at_no_bus_is_refused_by_its_name(section, record, sentence, tmp_path):
+    with pytest.raises(ValueError, match=rf"three\.raw: (as RAW of version 33, )?its {sentence}"):
         read_case(raw(tmp_path, **{section: record})[0])
     with pytest.raises(ValueError, match="bus 4 is of type '5'; allowed: 1, 2, 3, 4"):
         read_case(raw(tmp_path, BUS="4,'FOUR',220,5,1,1,1,1,0\n")[0])
+
+
+def test_the_sign_of_a_metered_end_is_no_part_of_its_bus_and_a_RAW_file_that_was_cut_short_is_refused(tmp_path):
+    path, _ = raw(tmp_path)
+    case, text = read_case(path).case, path.read_text()
+    for same in (text.replace("1,3,'1'", "1,-3,'1'"), text.replace("1,3,'1'", " 1 -3 '1'"), text.replace("Q\n", "")):
+        path.write_text(same)
+        assert read_case(path).case == case
+    for end, section in (("2,3,'1'", "acline"), ("0 / END OF FACTS", "facts"), ("0 / END OF BUS", "bus")):
+        path.write_text(text[: text.index(end)])
+        with pytest.raises(ValueError, match=rf"three\.raw: it ends within its {section} data"):
+            read_case(path)
+
+
+NO_RAWX = [
+    ("[]", "it is no RAWX file: it must have a network with caseid"),
+    ('{"network": [1]}', "it is no RAWX file: it must have a network with caseid"),
+    ('{"network": {}}', "it is no RAWX file: it must have a network with caseid"),
+    ('{"network": {"caseid": [1]}}', "its caseid data must have the lists fields and data"),
+    (
+        '{"network": {"caseid": {"fields": ["rev"], "data": [[35], 1]}}}',
+        "its caseid data must be lists, and their fields",
+    ),
+    ('{"network": {"caseid": {"fields": ["rev"], "data": []}}}', "it misses 'rev'"),
+]
+
+
+@pytest.mark.parametrize(("text", "sentence"), NO_RAWX)
+def test_what_is_no_RAWX_file_is_refused_in_a_sentence(text, sentence, tmp_path):
+    path = tmp_path / "no.rawx"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=re.escape(f"no.rawx: {sentence}")):
+        read_case(path)
 
 
 def test_what_the_file_stores_otherwise_is_noted_reactive_limits_and_voltages_in_Latin_1_too(tmp_path):

@@ -92,6 +92,8 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     }
     if more.get("dcline", (0,))[0]:
         lines = _matrix("table dcline", data["dcline"])
+        if lines.shape[1] < 4:
+            raise ValueError(f"its table dcline has {lines.shape[1]} columns; allowed: 4 or more")
         more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
     solved_case.refuse_unread(more, drop, notes)
     solved_case.refuse_large(len(tables["bus"]))
@@ -154,9 +156,16 @@ def _check(tables: Mapping[str, Any]) -> None:
                 if not 1.0 <= bus < 2**31 or bus % 1.0:
                     raise ValueError(f"{at} has the bus number {bus:.10g}; allowed: whole numbers from 1")
                 if buses.count(bus) != 1:
-                    raise ValueError(f"{at} names the bus {bus:g}, which is {'twice' if bus in buses else 'not'} there")
+                    raise ValueError(
+                        f"{at} names bus {bus:g}, which is {'there twice' if bus in buses else 'not there'}"
+                    )
             if name == "bus" and row[_TYPE] not in (1, 2, 3, 4):
                 raise ValueError(f"bus {row[_BUS]:g} is of type {row[_TYPE]:g}; allowed: 1, 2, 3, 4")
+            if name == "branch" and row[_STATUS] not in (0, 1):
+                raise ValueError(f"{at} has the status {row[_STATUS]:g}; allowed: 0, 1")
+    off = tables["bus"][tables["bus"][:, _TYPE] == _ISOLATED, _BUS]
+    if not ((tables["gen"][:, _GEN_STATUS] > 0.0) & ~np.isin(tables["gen"][:, _GEN], off)).any():
+        raise ValueError("no generator is in service")
 
 
 def _set_slack(tables: Mapping[str, Any], notes: list[str]) -> None:
@@ -172,8 +181,9 @@ def _set_slack(tables: Mapping[str, Any], notes: list[str]) -> None:
 
 def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
     """Return what a .m file says by name, and the fuels of its generators from 1 on; statements are refused."""
-    lines = [re.sub(r"%.*", "", line) for line in re.sub(r"(?s)%\{.*?%\}", "", text).splitlines()]
-    text = re.sub(r"\.\.\.[^\n]*\n", " ", "\n".join(lines))
+    text = re.sub(r"(?ms)^[ \t]*%\{[ \t]*$.*?^[ \t]*%\}[ \t]*$", "", "\n".join([*text.splitlines(), ""]))
+    # Within quotes begins neither a comment nor a continuation.
+    text = re.sub(r"('[^'\n]*')|%.*|\.\.\..*\n", r"\1 ", text)
     genfuel = re.search(r"mpc\.genfuel\s*=\s*\{(.*?)\}", text, re.DOTALL)
     fuels = dict(enumerate(re.findall(r"'([^']*)'", genfuel[1]), start=1)) if genfuel else {}
     tables = re.findall(r"mpc\.(\w+)\s*=\s*\[(.*?)\]", text, re.DOTALL)

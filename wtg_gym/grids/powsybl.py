@@ -2,7 +2,7 @@
 
 What its reader of RAW and RAWX passes over is looked for in the file's sections: tables of impedance correction,
 devices that no section of it knows, the initial susceptance of switched shunts, which it rounds to a step, the sign of
-YQ, buses that are out of service, records that are there twice, and the bases of machines.
+YQ, buses that are out of service, records that are there twice or at no bus, and the bases of machines.
 """
 
 import cmath
@@ -52,6 +52,8 @@ _NEW = {
 }
 #: How many of the first fields tell the records of a section apart.
 _KEYS = {"bus": 1, "load": 2, "generator": 2, "fixshunt": 2, "swshunt": 2, "acline": 3, "transformer": 4}
+#: Sections that a file which does not end with Q may lack.
+_LAST = ("gne", "indmach", "substation", "")
 #: Types of a bus, and the one that is out of service.
 _TYPES, _ISOLATED = ("", "1", "2", "3", "4"), "4"
 #: Tables of what stands at buses, by whether it goes out of service with any of them.
@@ -174,13 +176,21 @@ class _Raw:
         self._seen = set[tuple[str, str]]()
         text = read_text(path, "case", or_latin=True)
         self.text = self._read_json(text) if path.suffix.lower() == ".rawx" else self._read_lines(text)
+        self._check_buses()
 
     def _read_json(self, text: str) -> str:
-        network = parse_json(text, "it")["network"]
+        network = parse_json(text, "it")
+        network = network.get("network") if isinstance(network, dict) else None
+        if not isinstance(network, dict) or not network.get("caseid"):
+            raise ValueError("it is no RAWX file: it must have a network with caseid")
         for section, table in network.items():
-            names, data = table["fields"], table["data"]
+            names, data = (table.get(name) if isinstance(table, dict) else None for name in ("fields", "data"))
+            if not isinstance(names, list) or not isinstance(data, list):
+                raise ValueError(f"its {section} data must have the lists fields and data")
             # A section of one record may be that record.
             data = data if not data or isinstance(data[0], list) else [data]
+            if not all(isinstance(row, list) for row in data) or not all(isinstance(name, str) for name in names):
+                raise ValueError(f"its {section} data must be lists, and their fields names")
             rows = [dict(zip(names, row, strict=False)) for row in data]
             for row in rows:
                 record = {name: "" if value is None else str(value).strip() for name, value in row.items()}
@@ -189,7 +199,7 @@ class _Raw:
                     row |= dict.fromkeys(steps, 0) | changed
             if section in ("load", "swshunt") and rows:
                 network[section] = {"fields": list(rows[0]), "data": [list(row.values()) for row in rows]}
-        caseid = self.records["caseid"][0]
+        caseid = (self.records["caseid"] or [{}])[0]
         self.version, self.frequency_hz = float(caseid["rev"]), _number(caseid, "basfrq")
         return json.dumps({"network": network})
 
@@ -213,6 +223,9 @@ class _Raw:
                 continue
             if re.match(r"\s*Q\s*$", line):
                 break
+            if section == "acline" and not new:
+                # The sign of a bus tells the metered end.
+                line = re.sub(r"^(\s*\d+[\s,]+)-", r"\1", line)
             if re.match(r"\s*0\s*($|/|[A-Za-z])", line):
                 section, rest = next(queue, ""), 0
             elif rest:
@@ -229,6 +242,9 @@ class _Raw:
                     texts = [record.get(name, "") for name in names]
                     line = ",".join(each if re.fullmatch(r"[^A-Za-z ]+", each) else f"'{each}'" for each in texts)
             written.append(line)
+        else:
+            if section not in _LAST or (section and self.records[section]):
+                raise ValueError(f"it ends within its {section} data")
         return "\n".join([*written, "Q", ""])
 
     def _keep(self, section: str, record: dict[str, str]) -> dict[str, float]:
@@ -254,6 +270,21 @@ class _Raw:
         # The initial susceptance is the only step.
         initial = _number(record, "binit")
         return {"s1": 1, "n1": 1, "b1": initial} if initial else {"stat": 0}
+
+    def _check_buses(self) -> None:
+        """Refuse what pypowsybl leaves out: records at buses that are not there, and branches from a bus to itself."""
+        there = {row.get("ibus", "").lstrip("0") for row in self.records["bus"]}
+        for section, count in _KEYS.items():
+            names = [name for name in _FIELDS[section].split()[:count] if name.endswith("bus")]
+            for row in self.records[section]:
+                ends = [row.get(name, "").lstrip("0") for name in names]
+                # A transformer of two windings has no third bus.
+                ends = [end for place, end in enumerate(ends) if end or place < 2]
+                its = f"as RAW of version {self.version:g}, its {section} data"
+                if unknown := [end for end in ends if end not in there]:
+                    raise ValueError(f"{its} name the bus {unknown[0] or 0}, which is not there")
+                if len(set(ends)) < len(ends):
+                    raise ValueError(f"{its} have a branch from bus {max(ends, key=ends.count)} to itself")
 
     def passed_over(self) -> Iterator[tuple[str, int]]:
         """Yield what pypowsybl passes over: type and number."""
