@@ -134,7 +134,7 @@ RECORDS = [
         "the shedding stages disconnect 110 % of the load",
     ),
     *(
-        (lambda n=n: Simulator(Plant(), num_envs=n), "number of environments must be a whole number")
+        (lambda n=n: Simulator(Plant(), num_envs=n), "num_envs must be a whole number")
         for n in (0, 1.5, True)
     ),
     (lambda: Simulator(Plant(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
