@@ -133,10 +133,7 @@ RECORDS = [
         of(Plant, shedding=tuple(p.SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
         "the shedding stages disconnect 110 % of the load",
     ),
-    *(
-        (lambda n=n: Simulator(Plant(), num_envs=n), "num_envs must be a whole number")
-        for n in (0, 1.5, True)
-    ),
+    *((lambda n=n: Simulator(Plant(), num_envs=n), "num_envs must be a whole number") for n in (0, 1.5, True)),
     (lambda: Simulator(Plant(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
     (
         lambda: Simulator(Plant(groups=(p.WtgGroup(bus=2, n_turbines=0.01),) * 2)),
