@@ -10,6 +10,7 @@ import json
 import math
 import re
 import warnings
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,7 @@ def _matrix(name: str, rows: Any) -> Any:
 
 def _check(tables: Mapping[str, Any]) -> None:
     """Refuse by its place what no case has: numbers that are none, where no limit is meant, and buses that are none."""
-    buses = tables["bus"][:, _BUS].tolist()
+    counts = Counter(tables["bus"][:, _BUS].tolist())
     for name, (least, ends, needed) in _NEEDED.items():
         if (columns := tables[name].shape[1]) < least:
             raise ValueError(f"its table {name} has {columns} columns; allowed: {least} or more")
@@ -155,10 +156,9 @@ def _check(tables: Mapping[str, Any]) -> None:
             for bus in row[ends]:
                 if not 1.0 <= bus < 2**31 or bus % 1.0:
                     raise ValueError(f"{at} has the bus number {bus:.10g}; allowed: whole numbers from 1")
-                if buses.count(bus) != 1:
-                    raise ValueError(
-                        f"{at} names bus {bus:g}, which is {'there twice' if bus in buses else 'not there'}"
-                    )
+                if counts[bus] != 1:
+                    problem = "there twice" if counts[bus] else "not there"
+                    raise ValueError(f"{at} names bus {bus:g}, which is {problem}")
             if name == "bus" and row[_TYPE] not in (1, 2, 3, 4):
                 raise ValueError(f"bus {row[_BUS]:g} is of type {row[_TYPE]:g}; allowed: 1, 2, 3, 4")
             if name == "branch" and row[_STATUS] not in (0, 1):
