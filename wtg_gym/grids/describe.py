@@ -78,13 +78,16 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     simulator.start(0, scenario, tracking_law.group_laws(LAW, plant.turbines, plant.control))
     simulator.evaluate()
     voltages = np.abs(simulator.bus_voltages())
+    begun = time.perf_counter()
     run = trajectory.simulate(dataclasses.replace(scenario, duration_s=_REST_S), LAW, plant)
+    cost = f"a second takes {1e3 * (time.perf_counter() - begun) / max(run.time_s[-1], step):.3g} ms to simulate"
     if run.status != protection.Status.RUNNING:
         raise ValueError(
             f"without any event a run ends after {run.time_s[-1]:g} s by {run.status.name.lower().replace('_', ' ')}, "
             f"with voltages of {voltages.min():.3f} … {voltages.max():.3f} p.u. and "
-            f"angles {np.ptp(np.angle(simulator.bus_voltages(), deg=True)):.0f}° apart"
+            f"angles {np.ptp(np.angle(simulator.bus_voltages(), deg=True)):.0f}° apart; {cost}"
         )
+    yield "cost of a run", cost
     yield "state below", f"{WIND_M_S:g} m/s, all groups under {LAW}"
     yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."
     low, high = USUAL_VOLTAGE_PU

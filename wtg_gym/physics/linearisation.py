@@ -5,6 +5,7 @@ the method's stability region, |R(hλ)| > 1, the run grows without bound: that i
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +16,8 @@ from wtg_gym.physics.plant import PlantTables, programs_of, with_places
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
-#: States that are evaluated side by side.
-_SIDE_BY_SIDE = 256
+#: States that are evaluated side by side: of a large plant all would not fit into memory.
+_SIDE_BY_SIDE = 64
 #: The largest stable step must exceed the chosen one by this factor. Load, line trips, wind and governor droop move it
 #: by less than 1 % over the runs of the suites; the rest is for what lies beyond them.
 STEP_MARGIN = 1.05
@@ -43,14 +44,21 @@ def state_matrix(rows: Floats, plant: PlantTables, layout: Layout, side: npt.Arr
     moved = np.concatenate([states, states, states[:1]])
     by = _DIFFERENCE * np.concatenate([first, second, [0.0]])
     rates = np.empty((2 * n + 1, n))
-    # Not all at once: of a large plant they would not fit into memory.
-    for start in range(0, 2 * n + 1, _SIDE_BY_SIDE):
-        part = slice(start, start + _SIDE_BY_SIDE)
-        blocks = np.repeat(rows[np.newaxis, :], moved[part].size, axis=0)
-        blocks[np.arange(len(blocks)), moved[part]] += by[part]
-        scratches = np.zeros((len(blocks), layout.n_scratch, 1))
-        integration.evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant.network)
-        rates[part] = scratches[:, layout.rate_rows, 0]
+    blocks = np.repeat(rows[np.newaxis, :], min(_SIDE_BY_SIDE, 2 * n + 1), axis=0)
+    scratches = np.empty((len(blocks), layout.n_scratch, 1))
+    # Most rows of a large plant are the network's, which an evaluation leaves as they are.
+    spans = (plant.network.facts.pairs, plant.network.facts.transfers)
+    constant = sorted((span.first, span.first + span.n_units * span.n_rows) for span in spans)
+    others = [slice(first, last) for (_, first), (last, _) in pairwise([(0, 0), *constant, (rows.size, 0)])]
+    for start in range(0, 2 * n + 1, len(blocks)):
+        part = slice(start, start + len(blocks))
+        some, of_some = blocks[: moved[part].size], scratches[: moved[part].size]
+        for other in others:
+            some[:, other] = rows[other]
+        of_some[:] = 0.0
+        some[np.arange(len(some)), moved[part]] += by[part]
+        integration.evaluate_blocks(some[:, :, np.newaxis], of_some, plant.network)
+        rates[part] = of_some[:, layout.rate_rows, 0]
     change = rates[:n] - rates[n : 2 * n]
     change[speeds] = sides[:, np.newaxis] * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])
     matrix: Floats = change.T / (2.0 * _DIFFERENCE)
