@@ -1,8 +1,8 @@
-"""`python -m agents.evolution`: searches the last layer of a policy by evolution, on the score itself.
+"""`python -m agents.evolution`: searches the last layer of a policy, or of several joined, by evolution, on the score.
 
 CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016) plays many candidates through the same training
 scenarios and moves towards the best. It needs neither gradients nor a value function, so it sees load shedding, trips
-and lost grids as they are. The layers before the last one stay: those of a trained policy, or random ones. Every
+and lost grids as they are. The layers before the last one stay: those of trained policies, or random ones. Every
 generation has other scenarios.
 """
 
@@ -12,12 +12,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import cma
 import numpy as np
 import numpy.typing as npt
 import onnx
 import torch
+from cyclopts import Parameter
 from torch import Tensor, nn
 
 from agents import run as runs
@@ -25,6 +27,7 @@ from agents.gradient import GradientPolicy
 from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
+from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
 from wtg_gym.files import read_bytes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies.entry_folder import POLICY_FILE, load_entry_folder
@@ -32,6 +35,7 @@ from wtg_gym.policies.torch_export import largest_difference
 from wtg_gym.ranges import Checked, design
 
 Floats = npt.NDArray[np.float64]
+Folders = Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative="")]
 _STATE = "state.pickle"
 #: Generations over which the weights are averaged: each pulls towards its own scenarios.
 _AVERAGED = 20
@@ -39,7 +43,9 @@ _AVERAGED = 20
 _GATES = [0, 2, 3, 1]
 #: Largest difference of actions between a file and what was read of it.
 _TOLERANCE = 1e-5
-_NOT_OURS = "holds no network of agents.dagger, agents.gradient or agents.evolution"
+_NOT_OURS = "holds no single network of agents.dagger, agents.gradient or agents.evolution"
+#: Deviation of the frequency that no run should have, and that from which on it counts, half of a lost run there [Hz].
+_BEYOND_HZ, _NEAR_HZ = 1e-3 * DESIGN_DEVIATION_MHZ, 0.75
 
 
 @runs.options
@@ -47,27 +53,32 @@ _NOT_OURS = "holds no network of agents.dagger, agents.gradient or agents.evolut
 class Hyperparameters(Checked):
     """Hyperparameters."""
 
-    start: str = design(
-        "",
+    start: Folders = design(
+        (),
         "-",
-        "folder of a policy whose last layer is searched, made by agents.dagger, agents.gradient or agents.evolution; "
-        "none: a new, random one",
+        "folders of policies whose common last layer is searched, made by agents.dagger, agents.gradient or, of one, "
+        "agents.evolution; none: a new, random one",
     )
     lstm: Whole = design(0, "-", "of a new policy: width of its LSTM; 0: none", 0, 10_000)
     hidden: Widths = design((), "-", "of a new policy: widths of hidden layers; none and no LSTM: linear", 1, 10_000)
     population: Whole = design(20, "-", "candidates of a generation", 4, 10_000)
+    reliability: float = design(
+        0.0, "-", "points that a run costs that is lost or beyond 0.8 Hz, besides what the score pays", 0.0, 1e4
+    )
     spread: float = design(0.02, "-", "standard deviation of the first candidates' weights", 1e-6, 100.0)
 
 
 def read_policy(folder: Path, settings: RunSettings) -> GradientPolicy:
     """Return the network of a policy that agents.dagger, agents.gradient or this has made for every group alike.
 
-    A ValueError says that it is another one, or acts on another law or in another mode than the settings say.
+    A ValueError says that it is another one, or acts on another law or in another mode than the settings say; one that
+    acts on k may go on with k and τ.
     """
     entry = load_entry_folder(folder)
     for name in ("action_mode", "observation_mode", "strategy"):
-        if getattr(entry, name) != getattr(settings, name):
-            raise ValueError(f"{folder} has {name} = {getattr(entry, name)!r}, not {getattr(settings, name)!r}")
+        value, needed = getattr(entry, name), getattr(settings, name)
+        if value != needed and (value, needed) != ("k", "k+tau"):
+            raise ValueError(f"{folder} has {name} = {value!r}, not {needed!r}")
     if not entry.per_group:
         raise ValueError(f"{folder} has per_group = false: its policy sees all groups at once")
     content = read_bytes(folder / POLICY_FILE, "policy")
@@ -102,15 +113,55 @@ def _network_of(graph: onnx.GraphProto) -> GradientPolicy:
     return policy
 
 
+class JoinedPolicy(nn.Module):
+    """Policies side by side under a common last layer, which begins at the mean of theirs; those of k leave τ alone."""
+
+    def __init__(self, policies: Sequence[GradientPolicy], n_action: int) -> None:
+        super().__init__()
+        self.policies = nn.ModuleList(policies)
+        self.last = nn.Linear(sum(policy.last.in_features for policy in policies), n_action)
+        self.state_widths = tuple(width for policy in policies for width in policy.state_widths)
+        self.per_group = True
+        first = 0
+        with torch.no_grad():
+            for parameter in self.last.parameters():
+                parameter.zero_()
+            for policy in policies:
+                n, end = policy.last.out_features, first + policy.last.in_features
+                self.last.weight[:n, first:end] = policy.last.weight / len(policies)
+                self.last.bias[:n] += policy.last.bias / len(policies)
+                first = end
+
+    def features(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        """Return what the last layer sees (num_envs, n) and the next states; none are given before the first step."""
+        features, following, first = list[Tensor](), list[Tensor](), 0
+        for policy in self.policies:
+            assert isinstance(policy, GradientPolicy)
+            before = states[first : first + len(policy.state_widths)]
+            seen, *after = policy.features(observations, *before)
+            features.append(seen)
+            following += after
+            first += len(before)
+        return torch.cat(features, dim=1), *following
+
+    def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        """Return the actions (num_envs, n_action) and the next states."""
+        features, *following = self.features(observations, *states)
+        return torch.tanh(self.last(features)), *following
+
+
+EvolvedPolicy = GradientPolicy | JoinedPolicy
+
+
 class Population:
     """Candidates that play the same training scenarios side by side."""
 
-    def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int) -> None:
+    def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int, reliability: float = 0.0) -> None:
         self.batch = EnvBatch(replace(settings, reward="cost"), n_scenarios * n_candidates)
-        self._shape = n_candidates, n_scenarios
+        self._shape, self._reliability = (n_candidates, n_scenarios), reliability
 
-    def objectives(self, policy: GradientPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
-        """Return what the score pays each candidate for lowering, mean over the scenarios (n_candidates,).
+    def objectives(self, policy: EvolvedPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
+        """Return what each candidate should lower, in hundreds of points, mean over the scenarios (n_candidates,).
 
         Candidates are weights of the last layer, then its biases (n_candidates, n).
         """
@@ -129,8 +180,13 @@ class Population:
                 batch.step(np.ascontiguousarray(actions.reshape(batch.num_envs, -1).numpy(), dtype=np.float64))
         offsets = np.array([batch.suite.cost_offset(scenario) for scenario in scenarios])
         costs = batch.cost_sums().sum(axis=1).reshape(self._shape)
-        values: Floats = (np.log(costs + offsets) / (batch.suite.task.scale or 1.0)).mean(axis=1)
-        return values
+        values = np.log(costs + offsets) / (batch.suite.task.scale or 1.0)
+        lowest, highest = (batch.simulator.env_values(name) for name in ("coi_min", "coi_max"))
+        deviation_hz = batch.nominal_hz * np.maximum(1.0 - lowest, highest - 1.0)
+        near = np.clip((deviation_hz - _NEAR_HZ) / (2.0 * (_BEYOND_HZ - _NEAR_HZ)), 0.0, 1.0)
+        bad = np.where(batch.ended()[0], 1.0, near).reshape(self._shape)
+        objectives: Floats = (values + 0.01 * self._reliability * bad).mean(axis=1)
+        return objectives
 
 
 class Search:
@@ -170,11 +226,11 @@ class Search:
 class EvolutionLearner:
     """A policy and the search for its last layer; `make` is called for a new run alone."""
 
-    def __init__(self, make: Callable[[], GradientPolicy], seed: int, h: Hyperparameters) -> None:
+    def __init__(self, make: Callable[[], EvolvedPolicy], seed: int, h: Hyperparameters) -> None:
         self._make, self._seed, self._h = make, seed, h
 
     @cached_property
-    def network(self) -> GradientPolicy:
+    def network(self) -> EvolvedPolicy:
         """The policy."""
         network = self._make()
         network.per_group = True
@@ -212,13 +268,16 @@ def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
     runs.require_local(settings)
     if h.start and (h.hidden or h.lstm):
         raise ValueError("--start brings its own layers; leave out --hidden and --lstm")
-    population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population)
+    population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population, h.reliability)
     batch = population.batch
 
-    def make() -> GradientPolicy:
-        if h.start:
-            return read_policy(Path(h.start), settings)
-        return GradientPolicy(batch.n_observation // batch.n_wtg, batch.n_action // batch.n_wtg, h.hidden, h.lstm)
+    def make() -> EvolvedPolicy:
+        n_action = batch.n_action // batch.n_wtg
+        if not h.start:
+            return GradientPolicy(batch.n_observation // batch.n_wtg, n_action, h.hidden, h.lstm)
+        policies = [read_policy(Path(folder), settings) for folder in h.start]
+        same = len(policies) == 1 and policies[0].last.out_features == n_action
+        return policies[0] if same else JoinedPolicy(policies, n_action)
 
     learner = EvolutionLearner(make, settings.seed, h)
 

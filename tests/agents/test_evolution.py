@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.evolution import EvolutionLearner, Hyperparameters, Population, main, read_policy
+from agents.evolution import EvolutionLearner, Hyperparameters, JoinedPolicy, Population, main, read_policy
 from agents.gradient import GradientPolicy
 from agents.run import RunSettings, folders
 from tests.agents.small import run_and_interrupted_run
@@ -63,8 +63,34 @@ def test_network_with_other_actions_is_refused(tmp_path):
     modes = {"action_mode": "k", "strategy": "coordinated-free"}
     export_onnx(Other(), tmp_path, name="mine", per_group=True, **modes)
     settings = RunSettings(algo="evolution", hyperparameters={}, timesteps=1, n_envs=1, suite="standard-v1", **modes)
-    with pytest.raises(ValueError, match=r"holds no network of .*: its actions are others"):
+    with pytest.raises(ValueError, match=r"holds no single network of .*: its actions are others"):
         read_policy(tmp_path, settings)
+
+
+def test_joined_policies_begin_at_the_mean_of_theirs_before_the_tanh():
+    modes = {"action_mode": "k+tau", "strategy": "coordinated-free"}
+    settings = RunSettings(algo="evolution", hyperparameters={}, timesteps=1, n_envs=1, suite="standard-v1", **modes)
+    names = ("dagger-v1-0", "gradient-v1-0")  # of k, of k and τ
+    policies = [read_policy(ROOT / "agents" / "policies" / name, settings) for name in names]
+    of_k, of_both = (np.arctanh(actions_of(TorchPolicy(policy), 8)) for policy in policies)
+    joined = np.arctanh(actions_of(TorchPolicy(JoinedPolicy(policies, 2)), 8))
+    assert joined[..., :1] == pytest.approx((of_k + of_both[..., :1]) / 2.0, abs=1e-5)
+    assert joined[..., 1:] == pytest.approx(of_both[..., 1:] / 2.0, abs=1e-5)
+
+
+def test_unreliable_candidates_are_charged_besides():
+    settings = EnvSettings(version="v1", duration_s=60.0)
+    plain, charged = (Population(settings, 3, 4, reliability) for reliability in (0.0, 50.0))
+    scenarios = plain.batch.scenarios(range(1_000_056, 1_000_059))
+    candidates, policy = np.random.default_rng(0).normal(0.0, 0.1, (4, 18)), GradientPolicy(8, 2)
+    candidates[1:, 16] = [-3.0, -1.0, 1.0]  # on k of every group: held back, or spent
+    more = charged.objectives(policy, candidates, scenarios) - plain.objectives(policy, candidates, scenarios)
+    batch = charged.batch
+    lost = batch.ended()[0].reshape(4, 3)
+    far = 50.0 * np.abs(batch.simulator.env_values("coi_min") - 1.0).reshape(4, 3)
+    certainly = lost | (far > 0.85)
+    assert certainly.any() and not certainly.all()
+    assert (more >= 0.5 * certainly.mean(axis=1) - 1e-12).all() and (more <= 0.5).all()
 
 
 def test_what_is_lowered_is_minus_the_score_in_hundreds():
