@@ -5,7 +5,6 @@ power, a phasor model shows nothing faster than 25 ms, and faults are three-phas
 machines: an imposed source at bus 1, behind the reactance of a short-circuit ratio on the rating of all groups.
 """
 
-import collections
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -272,7 +271,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
     actions: list[layout.Floats] = []
     if entry.policy is not None:
         with started_batch(entry, settings, [test.scenario(plant)], 1) as (batch, _):
-            collections.deque(play(entry, batch, actions), maxlen=0)
+            actions = [taken for _, taken in play(entry, batch)]
     # Once more with the same actions, so short an interval that every simulation step is seen.
     n_held = round(settings.step_s / plant.simulation_dt)
     finest = dataclasses.replace(settings, control_dt=plant.simulation_dt)

@@ -66,7 +66,7 @@ METRICS: Mapping[str, Metric] = {
 }
 
 
-def frequencies(batch: EnvBatch, steps: Iterable[npt.NDArray[np.bool_]]) -> list[Floats]:
+def frequencies(batch: EnvBatch, steps: Iterable[Any]) -> list[Floats]:
     """Follow started episodes to their ends; return each environment's frequency [Hz] at its start and after its steps.
 
     `steps` are those of :func:`~wtg_gym.policies.play.play`. The frequency is that of the centre of inertia, whose

@@ -63,7 +63,7 @@ def recorded(entry: Entry, settings: EnvSettings, scenarios: Sequence[Scenario],
         inertia = np.array([turbine.inertia_constant_s for turbine in simulator.settings.turbines])
         rating_mva = base_mva * np.asarray(simulator.plant.share)
         connected, samples = np.ones(batch.num_envs, dtype=np.bool_), []
-        for running in itertools.chain([np.ones(batch.num_envs, dtype=np.bool_)], play(entry, batch)):
+        for running, _ in itertools.chain([(connected.copy(), None)], play(entry, batch)):
             rotors, power = simulator.wtg_values("rotor_speed"), simulator.wtg_values("power")
             columns = {
                 "frequency_hz": batch.nominal_hz * simulator.env_values("coi"),

@@ -110,13 +110,18 @@ class Entry:
     def check_learned(self, learned: Mapping[str, Any]) -> None:
         """Raise a ValueError if the learner of its policy had another law or other modes, see :func:`learned_in`."""
         for key, value in learned.items():
-            entry_value = self.law if key == "strategy" else getattr(self, key)
+            entry_value = self.env_arguments[key]
             if entry_value != value:
                 labels = [law.name if isinstance(law, TrackingLaw) else law for law in (value, entry_value)]
                 raise ValueError(
                     f"the policy of entry {self.name!r} learned with {key} {labels[0]!r}, the entry has "
                     f"{labels[1]!r}: give it the {key} of its training"
                 )
+
+    @property
+    def env_arguments(self) -> dict[str, Any]:
+        """Return its law and modes as arguments of the environment."""
+        return {"strategy": self.law, "action_mode": self.action_mode, "observation_mode": self.observation_mode}
 
     @property
     def kind(self) -> str:

@@ -1,6 +1,5 @@
 """The gate of submissions: every check of a folder, up to the first that it does not pass, and of several together."""
 
-import collections
 import dataclasses
 import itertools
 import time
@@ -87,19 +86,15 @@ class Report:
 
 def read_submission(folder: Path) -> Report:
     """Return the gate's report on the files of a folder and its entry.toml; its policy is not played."""
-    return _checked(folder, CHECKS[:2], weak=False)
+    return check_submission(folder, CHECKS[:2])
 
 
-def check_submission(folder: Path, *, weak: bool = False) -> Report:
-    """Return the gate's report on a folder; its policy is played in a process of its own.
+def check_submission(folder: Path, checks: Sequence[str] = CHECKS, *, weak: bool = False) -> Report:
+    """Return the gate's report on a folder, of the first so many checks, up to one that is not passed.
 
-    Where this system cannot isolate that process, it is a NotIsolatedError; with `weak` it goes on all the same.
+    The policy is played in a process of its own. Where this system cannot isolate that process, it is a
+    NotIsolatedError; with `weak` it goes on all the same.
     """
-    return _checked(folder, CHECKS, weak=weak)
-
-
-def _checked(folder: Path, checks: Sequence[str], *, weak: bool) -> Report:
-    """Make the first so many checks, up to one that is not passed."""
     report = Report(folder)
     findings = _findings(report, weak=weak)
     for name in checks:
@@ -164,8 +159,7 @@ def _check_not_found(what: str, name: str, folders: Sequence[Path]) -> None:
 def widths(entry: Entry) -> tuple[int, int]:
     """Return how many observations and actions an entry's modes and environment have, or one group of it."""
     version = TASKS[entry.environment or V1.env_id].version
-    modes: Any = {"action_mode": entry.action_mode, "observation_mode": entry.observation_mode}
-    batch = EnvBatch(EnvSettings(version=version, **modes), 1, 1)
+    batch = EnvBatch(EnvSettings(version=version, **entry.env_arguments), 1, 1)
     n_parts = batch.n_wtg if entry.per_group else 1
     return batch.n_observation // n_parts, batch.n_action // n_parts
 
@@ -195,9 +189,8 @@ def rollout(entry: Entry, *, backwards: bool = False) -> npt.NDArray[np.float64]
     settings = EnvSettings(version=TASKS[entry.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1
     seeds = settings.resolved_suite.validation[:_ROLLOUT_ENVS][::order]
-    actions: list[npt.NDArray[np.float64]] = []
     with started_batch(entry, settings, seeds) as (batch, _):
-        collections.deque(play(entry, batch, actions), maxlen=0)
+        actions = [taken for _, taken in play(entry, batch)]
     return np.clip(np.stack(actions), -1.0, 1.0)[:, ::order]
 
 

@@ -26,13 +26,7 @@ def started_batch(
 
     Yields the batch and its scenarios. A scenario without an equilibrium under the law is a PolicyError.
     """
-    entry_settings = dataclasses.replace(
-        settings,
-        strategy=entry.law,
-        action_mode=entry.action_mode,
-        observation_mode=entry.observation_mode,
-        reward="cost",
-    )
+    entry_settings = dataclasses.replace(settings, **entry.env_arguments, reward="cost")
     batch = EnvBatch(entry_settings, len(episodes), n_threads)
     try:
         drawn = not isinstance(episodes[0], Scenario)
@@ -46,13 +40,11 @@ def started_batch(
         batch.close()
 
 
-def play(
-    entry: Entry, batch: EnvBatch, taken: list[npt.NDArray[np.float64]] | None = None
-) -> Iterator[npt.NDArray[np.bool_]]:
-    """Play the started episodes to their ends; after every step, yield which environments made it, (num_envs,).
+def play(entry: Entry, batch: EnvBatch) -> Iterator[tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64]]]:
+    """Play the started episodes to their ends; yield which environments made a step, (num_envs,), and its actions.
 
-    The process of an :class:`OnnxPolicy` is a new one. `taken` gets the actions of every step, (num_envs, n_action),
-    zero once an episode is over. A policy that raises, ends, takes too long or returns no action is a PolicyError.
+    The process of an :class:`OnnxPolicy` is a new one. Actions (num_envs, n_action) are zero once an episode is over. A
+    policy that raises, ends, takes too long or returns no action is a PolicyError.
     """
     running = np.ones(batch.num_envs, dtype=np.bool_)
     state: Any = None
@@ -62,10 +54,8 @@ def play(
             actions = np.zeros((batch.num_envs, batch.n_action))
             if entry.policy is not None:
                 actions, state = answer(entry, batch, state, step, running)
-            if taken is not None:
-                taken.append(actions)
             batch.step(actions)
-            yield running
+            yield running, actions
             terminated, truncated = batch.ended()
             running = ~(terminated | truncated)
             step += 1
