@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite.binding import get_host_cpu_name
 
 from wtg_gym import __version__
@@ -67,16 +66,11 @@ def environment_fingerprint(settings: EnvSettings) -> str:
         for step in range(_N_STEPS):
             if np.logical_or(*batch.ended()).all():
                 break
-            batch.step(_actions(step, len(seeds), batch.n_action))
+            # Actions in [-1, 1], of whole numbers: no generator and no rounding.
+            count = (step * len(seeds) + np.arange(len(seeds))[:, np.newaxis]) * batch.n_action
+            batch.step(((count + np.arange(batch.n_action)) * 7919 % 2049 - 1024) / 1024.0)
             for values in batch.outputs:
                 digest.update(values.tobytes())
         return digest.hexdigest()
     finally:
         batch.close()
-
-
-def _actions(step: int, num_envs: int, n_action: int) -> npt.NDArray[np.float64]:
-    """Return actions in [-1, 1], (num_envs, n_action), from whole numbers: no generator and no rounding."""
-    count = (step * num_envs + np.arange(num_envs)[:, np.newaxis]) * n_action + np.arange(n_action)
-    actions: npt.NDArray[np.float64] = (count * 7919 % 2049 - 1024) / 1024.0
-    return actions

@@ -107,14 +107,7 @@ class Loop:
     """An entry in the loop with the grid, one measuring interval a step of the tape."""
 
     def __init__(self, entry: Entry, plant: Mapping[str, Any] | None) -> None:
-        settings = EnvSettings(
-            suite=DEFAULT_SUITE,
-            strategy=entry.law,
-            action_mode=entry.action_mode,
-            observation_mode=entry.observation_mode,
-            duration_s=_SETTLES_S,
-            plant=plant,
-        )
+        settings = EnvSettings(suite=DEFAULT_SUITE, duration_s=_SETTLES_S, plant=plant, **entry.env_arguments)
         #: Intervals of a decision, and its length [s].
         self.n_held, self.step_s = settings.n_intervals, settings.step_s
         self.entry, self.tape = entry, Tape(dataclasses.replace(settings, control_dt=settings.interval_s), 1, 1)
@@ -195,7 +188,8 @@ class Loop:
         values, whole = values[slow], whole[:, slow]
         acted = k @ whole[n : n + len(c)] + m @ whole[n + len(c) :]
         # Frequencies of all units within the decision, (n_held, n_units, n_modes).
-        within = np.array([powers[j][self._speeds] @ whole[:n] + held[j][self._speeds] @ acted for j in range(n_held)])
+        speeds = np.isin(self._rows, np.concatenate([self.layout.wtg("speed"), self.layout.machine("speed")]))
+        within = np.array([powers[j][speeds] @ whole[:n] + held[j][speeds] @ acted for j in range(n_held)])
         rates: Complex = np.log(values.astype(np.complex128)) / self.step_s
         # How many whole turns each mode makes in a decision besides those of its rate.
         instants = np.arange(n_held) * self.step_s / n_held
@@ -204,12 +198,6 @@ class Loop:
         turns: Floats = np.fft.fftfreq(n_held, 1.0 / n_held)[shares.argmax(axis=0)]
         rates += 2j * np.pi / self.step_s * turns
         return rates
-
-    @property
-    def _speeds(self) -> Whole:
-        """Which rows of the plant are the frequencies of its units."""
-        speeds = np.concatenate([self.layout.wtg("speed"), self.layout.machine("speed")])
-        return np.flatnonzero(np.isin(self._rows, speeds))
 
     @property
     def _rows(self) -> Whole:

@@ -13,8 +13,7 @@ from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.ranges import require_count
 
 #: Columns before the metrics: which entry, which scenario, how long it should last [s], why it failed ("": it did not).
-_LEADING = ("entry", "training_seed", "seed", "scenario", "duration_s", "failure")
-COLUMNS = (*_LEADING, *METRICS)
+COLUMNS = ("entry", "training_seed", "seed", "scenario", "duration_s", "failure", *METRICS)
 #: Rows of a table at most, and those of all training seeds of one entry, whose bootstrap takes 16 kB for each.
 MOST_ROWS, MOST_ROWS_OF_ENTRY = 100_000, 30_000
 #: Largest number of a table; what is added up of it stays finite.

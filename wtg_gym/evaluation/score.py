@@ -33,7 +33,7 @@ def cost_offsets(groups: Groups, task: Task) -> Floats:
     """Return J0 of every scenario, (n_scenarios,)."""
     offsets = np.empty(sum(group.size for group in groups.values()))
     for name, group in groups.items():
-        offsets[group] = dict(task.cost_offsets)[name]
+        offsets[group] = task.cost_offsets[name]
     return offsets
 
 

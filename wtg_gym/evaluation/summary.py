@@ -129,7 +129,7 @@ def ranked(rows: Iterable[EntrySummary]) -> list[EntrySummary]:
 
 def pinned_costs(runs: Runs, cap: float | None) -> Floats:
     """Return the pinned costs, (n_runs, n_scenarios), with the largest cost rate `cap` [1/s]; None: as charged."""
-    costs = _values(runs, "cost").reshape(len(runs), -1)
+    costs = _values(runs, "cost")
     if cap is None:
         return costs
     pinned = [
@@ -140,20 +140,19 @@ def pinned_costs(runs: Runs, cap: float | None) -> Floats:
 
 
 def _values(runs: Runs, metric: str) -> Floats:
-    return np.array([episode.metrics[metric] for run in runs for episode in run], dtype=np.float64)
+    return np.array([[episode.metrics[metric] for episode in run] for run in runs], dtype=np.float64)
 
 
 def parts_of_costs(runs: Runs, costs: Floats) -> Floats:
     """Return the terms of :data:`POINTS` as paid, and the rest of the pinned costs, (n_terms, n_runs, n_scenarios)."""
     terms = np.array([sum(_values(runs, f"cost_{term}") for term in terms) for terms in POINTS.values()])
-    terms = terms.reshape(len(POINTS), *costs.shape)
     return np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])
 
 
 def _deviations(runs: Runs, lowest: str, highest: str, nominal_hz: float) -> Floats:
     """Return the largest deviations up or down [mHz], (n_runs, n_scenarios); NaN where they are not known."""
-    deviations = 1000.0 * np.maximum(nominal_hz - _values(runs, lowest), _values(runs, highest) - nominal_hz)
-    return deviations.reshape(len(runs), -1)
+    deviations: Floats = 1000.0 * np.maximum(nominal_hz - _values(runs, lowest), _values(runs, highest) - nominal_hz)
+    return deviations
 
 
 def lost(runs: Runs) -> Floats:
