@@ -17,23 +17,11 @@ def import_grid(
     /,
     *,
     output: JsonFile,
-    dynamic: Annotated[Path | None, Parameter(help="DYR file with the machines of a RAW file")] = None,
-    wind: Annotated[
-        tuple[int, ...],
-        Parameter(
-            consume_multiple=True,
-            help="buses whose machines turbines of 5 MW replace, rated for 2.1 times what these give, besides the wind "
-            "parks of the case; default: the largest, up to 60 % of the power (turbines of up to 1.25 times the load)",
-        ),
-    ] = (),
-    frequency: Annotated[float | None, Parameter(help="nominal frequency [Hz]; default: the file's")] = None,
-    drop: Annotated[
-        tuple[str, ...],
-        Parameter(consume_multiple=True, help="types of element to leave out, as the refusal calls them"),
-    ] = (),
-    substitute: Annotated[
-        Flag, Parameter(help="put typical controls in the place of models that are not here, or leave those out")
-    ] = False,
+    dynamic: Path | None = None,
+    wind: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (),
+    frequency: float | None = None,
+    drop: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
+    substitute: Flag = False,
 ) -> int:
     """Turn a case of another program into a grid's file.
 
@@ -47,6 +35,14 @@ def import_grid(
       wtg-gym grid import case118.m --output ieee118.json --wind 10 26 65
       wtg-gym grid import network.json --output my_grid.json
       wtg-gym evaluate --suite ieee39.json                      score the laws on it
+
+    Args:
+        dynamic: DYR file with the machines of a RAW file
+        wind: buses whose machines turbines of 5 MW replace, rated for 2.1 times what these give, besides the wind parks
+            of the case; default: the largest, up to 60 % of the power (turbines of up to 1.25 times the load)
+        frequency: nominal frequency [Hz]; default: the file's
+        drop: types of element to leave out, as the refusal calls them
+        substitute: put typical controls in the place of models that are not here, or leave those out
     """
     from wtg_gym.grids.describe import describe_equilibrium
     from wtg_gym.grids.reading import read_case, with_wind

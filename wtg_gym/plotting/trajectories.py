@@ -21,8 +21,6 @@ _MOST_COLUMNS, _COLUMN_MM = 4, 70.0
 _LABEL_WIDTH = 0.05
 #: Most characters of a line of events.
 _LINE_LENGTH = 100
-
-
 #: What is drawn of the WTG groups, each (n, n_wtg), by its label.
 _PANELS: Mapping[str, Callable[[trajectory.Trajectory], layout.Floats]] = {
     "frequency [Hz]": lambda run: run.wtg_frequency_hz,
