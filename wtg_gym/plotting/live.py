@@ -233,14 +233,12 @@ def verdict_text(match: Match) -> str:
     """Return the end of a run as HTML: your cost, failure, and a table of everybody's, in v1 with scores."""
     results = match.results()
     scores = results.scores if results.task.scale else {}
+    deviations = {row.name: f"{row.median_deviation_mhz:.0f} mHz" for row in results.ranking}
     rows = [("", "cost", "largest deviation", "failure", *(["score in this scenario"] if scores else []))]
     for name in ("you", *results.task.anchors):
         (episode,) = results.episodes_of(name)
-        cost, lowest, highest = (episode.metrics[key] for key in ("cost", "nadir_hz", "zenith_hz"))
-        assert cost is not None and lowest is not None and highest is not None
-        deviation_hz = max(match.nominal_hz - lowest, highest - match.nominal_hz)
         score = [f"{scores[name].value:.0f}"] if scores else []
-        rows.append((name, f"{cost:.1f}", f"{1000.0 * deviation_hz:.0f} mHz", episode.failure, *score))
+        rows.append((name, f"{episode.metrics['cost']:.1f}", deviations[name], episode.failure, *score))
     (you,) = results.episodes_of("you")
     failed = f"<h2>Your run failed after {match.time_s:.1f} s: {you.failure}</h2>" if you.failure else ""
     table = "".join("<tr><td>" + "<td style='padding-left:2em'>".join(row) for row in rows)
