@@ -147,9 +147,8 @@ class Adjusted:
 
 def _excess(costs: Floats) -> Floats:
     """Return what each scenario adds to the mean of the worst tenth (n_runs, n_scenarios)."""
-    least = worst_tenth(costs).min(axis=-1, keepdims=True)
-    n_worst = worst_tenth(costs).shape[-1]
-    excess: Floats = np.maximum(costs - least, 0.0) * costs.shape[-1] / n_worst
+    worst = worst_tenth(costs)
+    excess: Floats = np.maximum(costs - worst.min(axis=-1, keepdims=True), 0.0) * costs.shape[-1] / worst.shape[-1]
     return excess
 
 
