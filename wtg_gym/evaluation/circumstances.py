@@ -58,8 +58,7 @@ def environment_fingerprint(settings: EnvSettings) -> str:
     """
     probed = dataclasses.replace(settings, strategy=REFERENCE_LAW, action_mode="k+tau", observation_mode="privileged")
     seeds = settings.resolved_suite.seeds("validation")[:_N_SCENARIOS]
-    batch = EnvBatch(probed, len(seeds), 1)
-    try:
+    with contextlib.closing(EnvBatch(probed, len(seeds), 1)) as batch:
         batch.start(range(len(seeds)), batch.scenarios(seeds))
         digest = hashlib.sha256("\n".join(batch.observation_names).encode())
         digest.update(batch.observations.tobytes())
@@ -72,5 +71,3 @@ def environment_fingerprint(settings: EnvSettings) -> str:
             for values in batch.outputs:
                 digest.update(values.tobytes())
         return digest.hexdigest()
-    finally:
-        batch.close()

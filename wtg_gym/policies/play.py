@@ -27,8 +27,7 @@ def started_batch(
     Yields the batch and its scenarios. A scenario without an equilibrium under the law is a PolicyError.
     """
     entry_settings = dataclasses.replace(settings, **entry.env_arguments, reward="cost")
-    batch = EnvBatch(entry_settings, len(episodes), n_threads)
-    try:
+    with contextlib.closing(EnvBatch(entry_settings, len(episodes), n_threads)) as batch:
         drawn = not isinstance(episodes[0], Scenario)
         scenarios: Any = batch.scenarios(cast(Sequence[int], episodes)) if drawn else episodes
         try:
@@ -36,8 +35,6 @@ def started_batch(
         except ValueError as error:
             raise PolicyError(f"entry {entry.label!r}: {error}") from error
         yield batch, scenarios
-    finally:
-        batch.close()
 
 
 def play(entry: Entry, batch: EnvBatch) -> Iterator[tuple[npt.NDArray[np.bool_], npt.NDArray[np.float64]]]:
@@ -56,8 +53,7 @@ def play(entry: Entry, batch: EnvBatch) -> Iterator[tuple[npt.NDArray[np.bool_],
                 actions, state = answer(entry, batch, state, step, running)
             batch.step(actions)
             yield running, actions
-            terminated, truncated = batch.ended()
-            running = ~(terminated | truncated)
+            running = ~np.logical_or(*batch.ended())
             step += 1
 
 
