@@ -6,7 +6,7 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -94,7 +94,10 @@ def evaluate(
     check_size((entry.name for entry in competitors), len(chosen))
     shared, of_suite = shared_settings(settings), settings.resolved_suite
     store = PartialStore(partial, [of_suite.name, of_suite.hash, split, shared])
-    parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
+    parts: list[_Part] = []
+    for entry in competitors:
+        size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
+        parts += [(entry, chosen[first : first + size]) for first in range(0, len(chosen), size)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
     episodes, failures = _episodes(store, parts, settings, n_threads, workers, on_progress, needed)
     return Results(
@@ -190,12 +193,6 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     except TypeError as error:
         raise ValueError(f"results hold what was played: in plant, give numbers and texts ({error})") from error
     return data
-
-
-def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
-    size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
-    for first in range(0, len(seeds), size):
-        yield entry, list(seeds[first : first + size])
 
 
 def _episodes(

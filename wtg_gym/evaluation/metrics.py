@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.batch import TERMINATION_REASONS, EnvBatch
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.tasks.cost import COST_TERMS
-
-Floats = npt.NDArray[np.float64]
 
 #: Window at the end of an episode over which the quasi-steady frequency is averaged [s].
 STEADY_WINDOW_S = 5.0
