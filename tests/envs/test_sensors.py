@@ -130,14 +130,6 @@ def test_group_that_an_event_takes_away_is_not_charged_from_that_step_on(time_s,
     assert costs == pytest.approx(weight * 0.1 * huber.sum(axis=1) / N_WTG, rel=1e-5)
 
 
-@pytest.mark.parametrize("suite", ["standard", "no-wind-sensor"])
-def test_cost_is_that_of_the_plant_and_not_of_what_is_measured(suite):
-    one, other = (play(None, suite=suite, seed=2, sensors=sensors) for sensors in (None, "exact"))
-    assert one.rewards.tolist() == other.rewards.tolist()
-    assert one.seen("exact").tobytes() == other.seen("exact").tobytes()
-    assert one.seen("wtg").tobytes() != other.seen("wtg").tobytes()
-
-
 def test_privileged_observation_is_the_local_one_and_then_the_exact_values():
     local, privileged = (play(drawn(faulty(0.2)), observation_mode=mode) for mode in ("local", "privileged"))
     n = local.observations.shape[1]
