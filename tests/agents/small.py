@@ -7,7 +7,6 @@ import pytest
 import yaml
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from agents.export import export
 from agents.run import Run, RunSettings, folders
 from agents.train import main, train
 from tests.interruption import interrupted
@@ -63,24 +62,6 @@ def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
     return folder
 
 
-def run_and_interrupted_run(main, options: list[str], interrupt, folder: Path) -> list[Run]:
-    """Return a run, and one that is interrupted after its second validation and resumed; the last policies count."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Run, "best", property(lambda run: run.curve[-1]))
-        assert main([*options, "--output", str(folder / "one")]) == 0
-        with pytest.MonkeyPatch.context() as broken:
-            interrupt(broken, lambda *_: len(Run.read(folder / "two").curve) == 2)
-            assert main([*options, "--output", str(folder / "two")]) == 130
-        for _ in range(2):
-            assert main(["--resume", str(folder / "two")]) == 0
-        export(folder / "one", folder / "entry", name="mine")
-    runs = [Run.read(folder / name) for name in ("one", "two")]
-    curves = [[{**row, "wall_time_s": 0.0} for row in run.curve] for run in runs]
-    assert curves[0] == curves[1] and len(curves[0]) == 3
-    assert [(run.finished, len(run.resumptions)) for run in runs] == [(True, 0), (True, 1)]
-    return runs
-
-
 class Normalized:
     def __init__(self, model: BaseAlgorithm) -> None:
         self._model, self._normalize = model, model.get_vec_normalize_env()
@@ -106,3 +87,13 @@ def largest_difference(policy, other, settings: RunSettings) -> float:
         start = terminated | truncated
     envs.close()
     return largest
+
+
+def actions_of(policy, n_observation: int) -> np.ndarray:
+    """Return actions in random observations, 30 steps of 8 groups; two episodes begin within."""
+    rng, state, actions = np.random.default_rng(0), None, []
+    for step in range(30):
+        start = np.full(8, step in (0, 11, 20))
+        action, state = policy.predict(rng.normal(size=(8, n_observation)).astype(np.float32), state, start)
+        actions.append(action)
+    return np.array(actions)

@@ -1,19 +1,15 @@
-"""Facts about the planner and its pupil: no foresight, plans from where the episode is, the same bits again."""
+"""Facts about the planner and its pupil: no foresight, plans from where the episode is."""
 
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import pytest
 import torch
 
 from agents import planner as planning
-from agents.dagger import DaggerLearner, Hyperparameters, Plans, main, observe
+from agents.dagger import DaggerLearner, Hyperparameters, Plans, observe
 from agents.gradient import GradientPolicy
 from agents.planner import Futures, Planner, PlannerOptions, begun, drive, planned, without_foresight
-from agents.run import folders
-from tests.agents.small import run_and_interrupted_run
-from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import evaluate
@@ -22,12 +18,6 @@ from wtg_gym.physics.scenario import GroupTrip, LoadRamp, LoadStep
 SETTINGS = EnvSettings(suite="standard-v1", strategy="coordinated-free", action_mode="k", reward="cost")
 SHORT = replace(SETTINGS, duration_s=20.0)
 QUICK = PlannerOptions(horizon_s=10.0, iterations=1)
-
-
-@pytest.fixture(autouse=True)
-def _few_others(monkeypatch):
-    """A planner draws the scenarios that futures are made of when it is built."""
-    monkeypatch.setattr(planning, "_N_OTHERS", 30)
 
 
 def test_a_plan_knows_nothing_of_what_comes():
@@ -134,28 +124,3 @@ def test_it_does_not_look_at_its_last_actions():
     other = torch.cat([seen[:, :6], torch.rand(3, 2)], dim=1)
     assert torch.equal(policy(seen)[0], policy(other)[0])
     assert torch.allclose(policy.of_episodes(seen[None])[0], policy(seen)[0])
-
-
-def test_times_that_do_not_fit_are_refused(capsys):
-    for words, message in (
-        (["--interval-s", "0.1"], "interval_s"),
-        (["--horizon-s", "5"], "horizon_s = 5 s must reach to the next plan, in 10 s"),
-    ):
-        assert planning.main(["--episodes", "3", *words]) == 2
-        assert message in capsys.readouterr().err
-
-
-OPTIONS = ["--strategy", "coordinated-free", "--action-mode", "k", "--timesteps", "2160", "--interval", "1080"]
-OPTIONS += ["--n-envs", "3", "--validation-episodes", "3", "--lstm", "4", "--hidden", "4", "--updates", "2"]
-OPTIONS += ["--horizon-s", "60", "--interval-s", "60", "--iterations", "1"]
-
-
-def test_run_repeats_also_after_an_interruption(tmp_path):
-    def interrupt(patch, when):
-        # Its plans are made by then, and numbers drawn.
-        patch.setattr(DaggerLearner, "fit", interrupted(DaggerLearner.fit, when))
-
-    runs = run_and_interrupted_run(main, OPTIONS, interrupt, tmp_path)
-    saved = [folders(run.folder / "checkpoints")[0] / "state.pt" for run in runs]
-    states = [torch.load(path, weights_only=True)["policy"] for path in saved]
-    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])

@@ -1,4 +1,4 @@
-"""Facts about the search of a last layer by evolution: where it begins, what it lowers, that it repeats and goes on."""
+"""Facts about the search of a last layer by evolution: where it begins and what it lowers."""
 
 from pathlib import Path
 
@@ -6,33 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from agents.evolution import EvolutionLearner, Hyperparameters, JoinedPolicy, Population, main, read_policy
+from agents.evolution import EvolutionLearner, Hyperparameters, JoinedPolicy, Population, read_policy
 from agents.gradient import GradientPolicy
-from agents.run import RunSettings, folders
-from tests.agents.small import run_and_interrupted_run
-from tests.interruption import interrupted
+from agents.run import RunSettings
+from tests.agents.small import actions_of
 from wtg_gym.envs import EnvSettings
 from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.torch_export import TorchPolicy, export_onnx
 from wtg_gym.tasks import V1
 from wtg_gym.tasks.episode import ACTION_MODES
 
-#: Four generations, with a validation before, between and after them.
-OPTIONS = ["--suite", "standard", "--n-envs", "2", "--population", "4", "--hidden", "3", "--spread", "0.2"]
-OPTIONS += ["--timesteps", "19200", "--interval", "9600", "--validation-episodes", "2"]
 ROOT = Path(__file__).parents[2]
-SHIPPED = str(ROOT / "agents/policies/dagger-v1-0")
-ACTS = ["--action-mode", "k", "--strategy", "coordinated-free"]
-
-
-def actions_of(policy, n_observation: int) -> np.ndarray:
-    """Return actions in random observations, 30 steps of 8 groups; two episodes begin within."""
-    rng, state, actions = np.random.default_rng(0), None, []
-    for step in range(30):
-        start = np.full(8, step in (0, 11, 20))
-        action, state = policy.predict(rng.normal(size=(8, n_observation)).astype(np.float32), state, start)
-        actions.append(action)
-    return np.array(actions)
 
 
 @pytest.mark.parametrize("name", ["dagger-v1-0", "gradient-v1-0"])
@@ -118,32 +102,3 @@ def test_policy_is_the_mean_of_what_was_found():
     assert learner.average == pytest.approx(learner.search.mean)
     assert policy.last.weight.detach().numpy().ravel() == pytest.approx(learner.average[:4], abs=1e-6)
     assert (policy.last.weight - 1.0).norm().item() < (before - 1.0).norm().item()
-
-
-def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
-    def interrupt(patch, when):
-        patch.setattr(EvolutionLearner, "tell", interrupted(EvolutionLearner.tell, when))
-
-    runs = run_and_interrupted_run(main, OPTIONS, interrupt, tmp_path)
-    entries = [load_entries(folders(run.folder / "best")[-1])[0] for run in runs]
-    one, two = (actions_of(entry.policy, 10) for entry in entries)
-    assert np.array_equal(one, two) and one.any() and all(entry.per_group for entry in entries)
-
-
-@pytest.mark.parametrize(
-    "options, message",
-    [
-        (["--population", "3"], "population must be a whole number in 4 … 10000, got 3"),
-        (["--start", SHIPPED, "--action-mode", "k"], "has strategy = 'coordinated-free', not 'coordinated-piecewise'"),
-        (
-            ["--start", str(ROOT / "agents/policies/ppo-v1-0"), *ACTS[2:]],
-            "has per_group = false: its policy sees all groups at once",
-        ),
-        (["--start", "no-such-folder", *ACTS], "no-such-folder"),
-        (["--start", SHIPPED, "--hidden", "8", *ACTS], "leave out --hidden and --lstm"),
-        (["--observation-mode", "privileged"], "leave out --observation-mode"),
-    ],
-)
-def test_wrong_options_are_refused(options, message, tmp_path, capsys):
-    assert main([*options, "--output", str(tmp_path / "run")]) == 2
-    assert message in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Facts about training by gradients: it learns, repeats, goes on after an interruption, and is exported."""
+"""Facts about training by gradients: what it lowers, and in which scenarios."""
 
 import math
 from collections import Counter
@@ -7,20 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from agents import gradient
-from agents.gradient import Failures, GradientLearner, GradientPolicy, Hyperparameters, costs_of, descend, loss_of, main
-from agents.run import draw, folders
-from tests.agents.small import largest_difference, run_and_interrupted_run
-from tests.interruption import interrupted
-from wtg_gym import get_suite, load_entries
+from agents.gradient import Failures, GradientPolicy, Hyperparameters, costs_of, descend, loss_of
+from agents.run import draw
+from wtg_gym import get_suite
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.gradients.torch import TorchEpisodes
-from wtg_gym.policies.torch_export import TorchPolicy
-
-#: Two gradients, with a validation before, between and after them.
-OPTIONS = ["--suite", "standard", "--timesteps", "2400", "--interval", "1200"]
-OPTIONS += ["--n-envs", "2", "--validation-episodes", "2"]
 
 V1 = {"version": "v1"}
 #: How far an episode has failed at a limit.
@@ -51,12 +43,16 @@ def watched(settings) -> tuple[Failures, torch.Tensor, torch.Tensor, list[str]]:
     return Failures(tape), alive, torch.full((1, len(names)), 1.1, dtype=torch.float64), names
 
 
-def test_a_failure_comes_gradually():
-    failures, alive, outputs, names = watched(V1)
+@pytest.mark.parametrize(
+    ("settings", "name", "limit"),
+    [(V1, "frequency_pu", 0.95), ({**V1, "on_failure": "terminate"}, "rotor_1_speed_pu", 0.5)],
+)
+def test_a_failure_comes_gradually_of_a_slow_rotor_where_rotors_end_the_episode(settings, name, limit):
+    failures, alive, outputs, names = watched(settings)
     # A failure of another kind, or load that is not served, keeps its charge.
     charged = alive + torch.tensor([0.0] * 6 + [1000.0], dtype=torch.float64)
     falling = outputs.clone()
-    falling[0, names.index("frequency_pu")] = 0.95
+    falling[0, names.index(name)] = limit
     for terms in (alive, charged):
         assert failures.costs(terms, failures.watched(outputs)).item() == pytest.approx(terms.sum().item())
         result = failures.costs(terms, failures.watched(falling)).item()
@@ -86,13 +82,6 @@ def test_what_trips_or_is_shed_changes_the_gradient_alone():
         assert near.grad[0, names.index(name)].item() == pytest.approx(expected)
 
 
-def test_a_slow_rotor_ends_the_episode_where_rotors_do():
-    failures, alive, outputs, names = watched({**V1, "on_failure": "terminate"})
-    outputs[0, names.index("rotor_1_speed_pu")] = 0.5
-    result = failures.costs(alive, failures.watched(outputs)).item()
-    assert result == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
-
-
 def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale():
     costs = torch.tensor([30.0, 400.0, 2000.0], dtype=torch.float64)
     suite, v0 = get_suite("standard-v1"), get_suite("standard")
@@ -117,24 +106,3 @@ def test_a_batch_of_v1_holds_as_many_of_each_stratum():
     assert all(scenario.seed in batch.suite.train for scenario in scenarios)
     same, other = (draw(batch, np.random.default_rng(seed), 30)[0].seed for seed in (0, 1))
     assert same == scenarios[0].seed != other
-
-
-def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
-    def interrupt(patch, when):
-        patch.setattr(gradient, "descend", interrupted(descend, when))
-
-    runs = run_and_interrupted_run(main, [*OPTIONS, "--hidden", "8", "--lstm", "4"], interrupt, tmp_path)
-    saved = [folders(run.folder / "checkpoints")[0] for run in runs]
-    states = [torch.load(path / "state.pt", weights_only=True)["policy"] for path in saved]
-    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
-    (entry,), h = load_entries(tmp_path / "entry"), Hyperparameters(**runs[0].settings.hyperparameters)
-    batch = EnvBatch(EnvSettings(**runs[0].settings.env_arguments), 1, 1)
-    learner = GradientLearner(GradientPolicy(batch.n_observation, batch.n_action, h.hidden, h.lstm), h)
-    learner.load(saved[0])
-    assert largest_difference(TorchPolicy(learner.network), entry.policy, runs[0].settings) <= 1e-6
-
-
-def test_layers_without_width_are_refused(tmp_path, capsys):
-    for given, message in ((["--hidden", "8", "0"], "hidden must be a whole number"), (["--lstm", "-1"], "lstm must")):
-        assert main([*given, "--output", str(tmp_path / "run")]) == 2
-        assert message in capsys.readouterr().err
