@@ -47,8 +47,6 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
         (line,) = (line for line in out.splitlines() if f"  {name} " in line)
         mark = " ✓" if row.marked else "  "
         assert re.search(rf" {row.lost_or_beyond_percent:.1f}{mark} .* {row.mean_pinned_cost:.1f}$", line)
-    assert main(["results", "recompute", str(folder / "standard-v1-validation.json")]) == 0
-    assert "identical" in capsys.readouterr().out
 
 
 def test_workers_of_the_options_play(capsys, monkeypatch):

@@ -195,12 +195,14 @@ def test_load_that_is_shed_is_charged_by_its_share():
 
 
 @pytest.mark.parametrize("weights", [None, {"failure": 130.0}])
-def test_a_failed_episode_costs_the_same_whenever_it_fails(weights):
+def test_an_episode_of_v1_ends_at_its_frequency_limit_and_costs_the_same_whenever_it_does(weights):
     for time_s in (1.0, 9.0):
         more = LoadStep(time_s=0.5, bus=4, power_mw=60.0)
         paid = list(cost_steps(more, LoadStep(time_s=time_s, bus=3, power_mw=-330.0), duration_s=12.0, weights=weights))
         env, _, last = paid[-1]
-        assert env.batch.statuses()[0] and 10.0 * time_s < len(paid) < 10.0 * time_s + 30.0
+        assert env.batch.statuses()[0] == Status.FREQUENCY_LIMIT and 10.0 * time_s < len(paid) < 10.0 * time_s + 30.0
+        frequency_pu, shed = (env.batch.simulator.env_values(name)[0] for name in ("coi", "shed_energy"))
+        assert 51.5 < 50.0 * frequency_pu < 51.6 and shed == 0.0
         assert last["failure"] > 0.0
         total = -sum(reward for _, reward, _ in paid)
         assert total == pytest.approx((weights or {"failure": 250.0})["failure"] * 13.0, rel=1e-12)
@@ -243,6 +245,7 @@ def test_stall_costs_more_than_any_way_of_living_on(weights):
     tripped, (_, terminated, truncated, info), env = play(sagging(), on_failure="trip", **settings)
     assert truncated and not terminated and tripped.size == 600 and info["termination_reason"] == ""
     assert env.batch.simulator.wtg_values("connected").tolist() == [[0.0, 0.0]]
+    assert env.batch.simulator.wtg_values("trip_cause").tolist() == [[TripCause.STALL] * 2]
     assert np.isfinite(env.batch.observations).all() and tripped.min() >= -0.1 * cap * (1 + 1e-12)
     assert rewards.sum() < tripped.sum()
     assert tripped[-1] < -0.1 * min(cap, CostWeights().duty) * 0.999, "a group that captures nothing is charged for it"
@@ -290,35 +293,6 @@ def test_no_run_costs_more_than_one_that_fails_at_once_even_if_it_ends_within_a_
         assert terminated and -rewards.sum() <= 1e-3 * (20.0 + 1.0) * (1.0 + 1e-9)
         error = env.batch.task_values("duty_error")[0]
         assert 0.0 < error < env.batch.simulator.env_values("step")[0] * 0.025
-
-
-def test_version_v1_ends_at_its_frequency_limit_and_sheds_load_before_the_lower_one():
-    def played(power_mw: float):
-        step = LoadStep(time_s=1.0, bus=3, power_mw=power_mw)
-        return play(calm(9.0, 20.0, N_WTG["v1"], inertia_scale=0.3, events=(step,)), version="v1")
-
-    _, (_, terminated, _, info), _ = played(150.0)
-    assert not terminated and info["shed_energy_mws"] > 100.0
-    rewards, (_, terminated, truncated, info), _ = played(-150.0)
-    assert terminated and not truncated and info["termination_reason"] == "frequency limit"
-    assert 51.5 < info["frequency_hz"] < 51.6 and info["shed_energy_mws"] == 0.0
-    assert -rewards.sum() == pytest.approx(250.0 * 21.0, rel=1e-9)
-
-
-def test_stopped_rotor_of_version_v1_trips_its_group_which_is_charged_on_or_ends_the_episode():
-    wind = np.full((N_WTG["v1"], 1), 9.0)
-    wind[1] = 7.0
-    step = LoadStep(time_s=2.0, bus=3, power_mw=45.0)
-    sagging_v1 = Scenario(name="x", wind_speed=wind, duration_s=60, events=(step,))
-    modes = {"version": "v1", "strategy": "mppt"}
-    _, (_, terminated, _, info), _ = play(sagging_v1, on_failure="terminate", **modes)
-    assert terminated and info["termination_reason"] == "under-speed"
-    rewards, (_, _, _, info), env = play(sagging_v1, observation_mode="privileged", **modes)
-    connected = env.batch.simulator.wtg_values("connected")[0]
-    assert connected[1] == 0.0 and rewards.size > info["time_s"] * 10.0 - 1.0
-    # It failed of itself: no event took it away, and its duty error grows.
-    at = env.observation_names.index("exact1.mean_duty [0.05 of the available power]")
-    assert env.batch.observations[0, at] < 0.0
 
 
 @pytest.mark.parametrize("version", VERSIONS)

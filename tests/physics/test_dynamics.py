@@ -80,25 +80,14 @@ def test_error_falls_with_the_fourth_power_of_the_step():
     assert (orders > 3.5).all(), orders
 
 
-@pytest.mark.parametrize("trips", [False, True])
-def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trips):
-    simulator = Simulator(Plant(trips_groups=trips), duration_s=120.0)
-    simulator.start(0, get_suite("paper").scenario(0), (LAWS["mppt"],) * 2)
+def test_a_run_that_has_ended_stands_still():
+    simulator = started(Plant(), get_suite("paper").scenario(0), "mppt", 120.0)
     recorded(simulator, 100.0)
-    if trips:
-        assert simulator.env_values("status")[0] == Status.RUNNING
-        assert simulator.env_values("step")[0] == 1000 * simulator.plant.network.facts.n_substeps
-        assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
-        assert simulator.wtg_values("trip_cause")[0].tolist() == [0.0, TripCause.STALL]
-        assert simulator.wtg_values("power")[0, 1] == 0.0
-        # The others carry the lost group's share at a lower frequency.
-        assert 0.98 < simulator.env_values("coi")[0] < 0.9953
-    else:
-        assert simulator.env_values("status")[0] == Status.STALL
-        assert simulator.env_values("step")[0] < 2500.0
-        before, peak = simulator.state(), simulator.wtg_values("peak_power")
-        simulator.advance()
-        assert (simulator.state() == before).all() and (simulator.wtg_values("peak_power") == peak).all()
+    assert simulator.env_values("status")[0] == Status.STALL
+    assert simulator.env_values("step")[0] < 2500.0
+    before, peak = simulator.state(), simulator.wtg_values("peak_power")
+    simulator.advance()
+    assert (simulator.state() == before).all() and (simulator.wtg_values("peak_power") == peak).all()
 
 
 @pytest.mark.parametrize(
