@@ -172,23 +172,31 @@ def test_a_step_is_five_intervals_with_its_action(scenario, settings, num_envs):
 SUITES_V1 = [name for name, suite in SUITES.items() if suite.task.version == "v1"]
 
 
+def equal_steps(mode, actions, seed: int = 0, scenarios=None, of=None, n_threads: int | None = None, **settings):
+    """Return the steps of a batch, once those of some or all of its environments are those of a single one."""
+    env = GFMWTGVectorEnv(actions.shape[1], autoreset_mode=mode, n_threads=n_threads, **settings)
+    batch = rollouts.vector_steps(env, actions, seed=seed, start=scenarios and {"scenarios": scenarios})
+    env.close()
+    single = GFMWTGEnv(**settings)
+    for env_index in range(env.num_envs) if of is None else of:
+        start = scenarios and {"scenario": scenarios[env_index]}
+        alone = rollouts.single_steps(single, actions[:, env_index], mode, seed=seed + env_index, start=start)
+        assert batch[env_index] == alone, f"environment {env_index}"
+    return batch
+
+
 @pytest.mark.parametrize("suite", SUITES_V1)
 def test_env_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(suite):
+    n_wtg, some = len(SUITES[suite].plant.groups), (0, 11, 16)
     # Scenarios of other grids take long to draw: each grid has a mode of its own.
     for seed in range(3) if SUITES[suite].grid == DEFAULT_GRID else [SUITES_V1.index(suite) % 3]:
-        action_mode = rollouts.ACTION_MODES[seed]
-        observation_mode = rollouts.OBSERVATION_MODES[seed % 2]
-        mode = rollouts.MODES[seed % 3]
+        action_mode, observation_mode = ACTION_MODES[seed], rollouts.OBSERVATION_MODES[seed % 2]
         settings = {"suite": suite, "action_mode": action_mode, "observation_mode": observation_mode}
-        env = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=mode, n_threads=1 + seed % 2, **settings)
         # Episodes of five steps.
-        actions = rollouts.actions_of(seed, 20, 17, env.single_action_space.shape[0])
-        batch = rollouts.vector_steps(env, actions, seed=seed)
-        env.close()
-        single = GFMWTGEnv(duration_s=2.5, **settings)
-        for env_index in (0, 11, 16):
-            assert batch[env_index] == rollouts.single_steps(single, actions[:, env_index], mode, seed=seed + env_index)
-            assert rollouts.n_resets(batch[env_index]) >= 2
+        actions = actions_of(seed, 20, 17, n_wtg * (1 + (action_mode == "k+tau")))
+        threads = {"of": some, "n_threads": 1 + seed % 2, "duration_s": 2.5}
+        batch = equal_steps(rollouts.MODES[seed % 3], actions, seed, **threads, **settings)
+        assert all(rollouts.n_resets(batch[env_index]) >= 2 for env_index in some)
 
 
 def failing(version: str):
@@ -196,7 +204,7 @@ def failing(version: str):
         return {"version": "v0", "strategy": "mppt", "scenario": rollouts.sagging(7.6, 45.0).to_dict()}
     events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=40.0))
     sensors = SensorDistribution().draw_many("x", [1], 4)[0]
-    course = rollouts.calm(8.0, 30.0, 4, events=events, sensors=sensors, inertia_scale=0.3, governor_droop=0.08)
+    course = calm(8.0, 30.0, 4, events=events, sensors=sensors, inertia_scale=0.3, governor_droop=0.08)
     settings = {"version": "v1", "control_dt": 0.1, "strategy": "mppt", "on_failure": "terminate"}
     return {**settings, "scenario": course.to_dict()}
 
@@ -204,34 +212,20 @@ def failing(version: str):
 @pytest.mark.parametrize(("version", "n_steps", "reason"), [("v0", 420, "stall"), ("v1", 200, "under-speed")])
 @pytest.mark.parametrize("mode", rollouts.MODES)
 def test_env_equals_the_single_environment_where_envs_end_at_different_times(mode, version, n_steps, reason):
-    settings, num_envs = failing(version), 17
-    actions = np.repeat(np.linspace(-1.0, 1.0, num_envs)[None, :, None], n_steps, axis=0).repeat(
-        2 * rollouts.N_WTG[version], 2
-    )
-    batch = rollouts.vector_steps(GFMWTGVectorEnv(num_envs, autoreset_mode=mode, **settings), actions, seed=0)
-    single = GFMWTGEnv(**settings)
-    for env_index, steps in enumerate(batch):
-        assert steps == rollouts.single_steps(single, actions[:, env_index], mode, seed=env_index), (
-            f"environment {env_index}"
-        )
+    actions = np.linspace(-1.0, 1.0, 17)[None, :, None].repeat(n_steps, 0).repeat(2 * rollouts.N_WTG[version], 2)
+    batch = equal_steps(mode, actions, **failing(version))
     ends = {tuple(i for i, step in enumerate(steps) if step[2]) for steps in batch}
     assert len(ends) > 5 and rollouts.reasons(batch[-1]) == {reason}
 
 
-@pytest.mark.parametrize("version", rollouts.VERSIONS)
+@pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("mode", rollouts.MODES)
 def test_env_plays_its_own_scenario_and_then_draws(mode, version):
-    n, n_wtg = 5, rollouts.N_WTG[version]
-    actions = rollouts.actions_of(6, 70, n, 2 * n_wtg)
-    scenarios = [
-        rollouts.eventful(7.0 + env_index, duration_s=2.0 + 0.5 * env_index, n_wtg=n_wtg) for env_index in range(n)
-    ]
-    env = GFMWTGVectorEnv(n, version=version, duration_s=4.0, autoreset_mode=mode)
-    batch = rollouts.vector_steps(env, actions, seed=9, start={"scenarios": scenarios})
-    for env_index, steps in enumerate(batch):
-        single, start = GFMWTGEnv(version=version, duration_s=4.0), {"scenario": scenarios[env_index]}
-        assert steps == rollouts.single_steps(single, actions[:, env_index], mode, seed=9 + env_index, start=start)
-        assert rollouts.n_resets(steps) >= 1
+    n_wtg = rollouts.N_WTG[version]
+    scenarios = [eventful(7.0 + env_index, duration_s=2.0 + 0.5 * env_index, n_wtg=n_wtg) for env_index in range(5)]
+    actions = actions_of(6, 70, 5, 2 * n_wtg)
+    batch = equal_steps(mode, actions, 9, scenarios, version=version, duration_s=4.0)
+    assert all(rollouts.n_resets(steps) >= 1 for steps in batch)
 
 
 def test_returned_arrays_are_not_overwritten_by_later_steps():
