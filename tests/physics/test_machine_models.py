@@ -1,7 +1,6 @@
 """Models of machines that only some plants have: transfer functions, and their place in a run; secondary control."""
 
 import dataclasses
-import pickle
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -203,12 +202,6 @@ def test_a_lost_governor_keeps_its_torque():
     lost = started((FIRST, SECOND), GovernorLoss(time_s=0.5, bus=1), LoadStep(time_s=1.0, bus=3, power_mw=10.0))
     before = lost.machine_values("torque")[0, 0]
     assert advanced(lost, 60.0).machine_values("torque")[0, 0] == pytest.approx(before, abs=1e-12)
-
-
-def test_a_copy_of_a_run_goes_on_alike():
-    simulator = started((FIRST, SECOND), LoadStep(time_s=0.0, bus=3, power_mw=10.0))
-    copied = pickle.loads(pickle.dumps(simulator))
-    assert (advanced(copied, 1.0).blocks == advanced(simulator, 1.0).blocks).all()
 
 
 def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates():
