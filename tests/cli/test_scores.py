@@ -1,4 +1,4 @@
-"""`wtg-gym evaluate`, `leaderboard`, `report` and `results`, which computes them again, as a user calls them."""
+"""`wtg-gym evaluate`, `leaderboard`, `report`, `results` and `submission` as a user calls them."""
 
 import dataclasses
 import html
@@ -10,14 +10,16 @@ from pathlib import Path
 import pytest
 
 import wtg_gym.cli.scoring
-from tests.cli.calls import error_of
+from tests.cli.calls import error_of, json_of
 from tests.interruption import interrupted
+from tests.submissions import models
+from tests.submissions.models import TOML, after, folder
 from wtg_gym import evaluate, get_suite
 from wtg_gym.cli import main
 from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.evaluation import Results, Workers, evaluator, load_entries
 from wtg_gym.evaluation.evaluator import departures, recompute
-from wtg_gym.tasks import V1
+from wtg_gym.tasks import V0, V1
 
 _LEADERBOARD = ("leaderboard", "--suite", "paper", "--entries")
 _PAPER = (*_LEADERBOARD, "mppt", "deloaded-5", "coordinated-piecewise")
@@ -31,18 +33,22 @@ CLAIMS = [
     ("observation_mode", "privileged", True),
     ("source", "Somebody", False),
 ]
+OTHER = TOML.replace("Mine", "Other")
+_FEW = ("--seeds", "20000", "20001")
+
+pytestmark = pytest.mark.usefixtures("few_scenarios")
 
 
 def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
     arguments = ["--suite", "standard-v1", "--split", "validation", "--scenarios", "12"]
-    folder = tmp_path / "mine"
+    mine = tmp_path / "mine"
     entries = ["--entries", "coordinated-piecewise", "fast-droop"]
-    assert main(["evaluate", *entries, *arguments, "--results", str(folder)]) == 0
+    assert main(["evaluate", *entries, *arguments, "--results", str(mine)]) == 0
     out = capsys.readouterr().out
     assert all(f"  {name} " in out for name in ("fast-droop", *V1.anchors)) and "mppt" not in out
     assert max(map(len, out.splitlines())) <= 120
-    assert sorted(p.name for p in folder.iterdir()) == [f"standard-v1-validation.{end}" for end in ("csv", "json")]
-    rows = {row.name: row for row in Results.read(folder / "standard-v1-validation.json").ranking}
+    assert sorted(p.name for p in mine.iterdir()) == [f"standard-v1-validation.{end}" for end in ("csv", "json")]
+    rows = {row.name: row for row in Results.read(mine / "standard-v1-validation.json").ranking}
     for name, row in rows.items():
         (line,) = (line for line in out.splitlines() if f"  {name} " in line)
         mark = " ✓" if row.marked else "  "
@@ -102,7 +108,6 @@ def test_leaderboard_plays_only_what_is_new(monkeypatch, tmp_path):
     assert played == ["coordinated-linear"]
     assert _files(tmp_path) == _files(tmp_path / "at-once")
     monkeypatch.setattr("wtg_gym.evaluation.partial.source_hash", lambda: "0" * 64)
-    assert played == ["coordinated-linear"]
     assert main([*_PAPER, "--results", str(tmp_path)]) == 0
     assert sorted(played[1:]) == ["coordinated-piecewise", "deloaded-5", "mppt"]
 
@@ -135,28 +140,28 @@ def _files(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("results")
+def stored(tmp_path_factory):
+    path = tmp_path_factory.mktemp("results")
     short = ["evaluate", "--suite", "standard", "--entries", "deloaded-5", "--duration", "10"]
-    assert main([*short, "--split", "test", "--scenarios", "4", "--results", str(folder)]) == 0
-    return folder
+    assert main([*short, "--split", "test", "--scenarios", "4", "--results", str(path)]) == 0
+    return path
 
 
 def _recompute(path: Path, *options: str) -> int:
     return main(["results", "recompute", str(path), "--entries", "deloaded-5", *options])
 
 
-def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named(folder, capsys):
-    assert _recompute(folder / "standard-test.json") == 0
+def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named(stored, capsys):
+    assert _recompute(stored / "standard-test.json") == 0
     printed = capsys.readouterr()
     assert printed.out.startswith("identical: ")
     assert "not the benchmark's own: 4 scenarios, those of the benchmark are 200" in printed.err
     assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in printed.err
-    assert len(departures(Results.read(folder / "standard-test.json"))) == 2
+    assert len(departures(Results.read(stored / "standard-test.json"))) == 2
 
 
-def test_numbers_that_were_made_up_are_named(folder, tmp_path, capsys):
-    results = Results.read(folder / "standard-test.json")
+def test_numbers_that_were_made_up_are_named(stored, tmp_path, capsys):
+    results = Results.read(stored / "standard-test.json")
     first = results.episodes[0]
     better = dataclasses.replace(first, metrics={**first.metrics, "cost": first.metrics["cost"] * 0.5})
     # Written by the package itself, so that all checksums fit.
@@ -169,8 +174,8 @@ def test_numbers_that_were_made_up_are_named(folder, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("key", "value", "differs"), CLAIMS)
-def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, differs, folder):
-    results = Results.read(folder / "standard-test.json")
+def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, differs, stored):
+    results = Results.read(stored / "standard-test.json")
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
     result = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
     named = [where for where, *_ in (result.differences if differs else result.circumstances)]
@@ -200,3 +205,81 @@ def test_a_page_of_markdown_has_the_numbers_of_the_evaluation_and_the_dearest_sc
     costs = {episode.seed: episode.metrics["cost"] for episode in results.episodes_of("fast-droop")}
     shown = [int(seed) for seed in re.findall(r"\(page-seed-(\d+)\.svg\)", text)]
     assert shown == sorted(seeds, key=costs.get, reverse=True)
+
+
+def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(capsys, tmp_path):
+    target = tmp_path / "new"
+    assert main(["submission", "new", str(target)]) == 0
+    capsys.readouterr()
+    (target / "policy.onnx").write_bytes(models.of_v1().SerializeToString())
+    entry = target / "entry.toml"
+    empty = entry.read_text(encoding="utf-8")
+    assert main(["submission", "check", str(target)]) == 1
+    assert "authors must be a list of 1 … 40 names" in capsys.readouterr().out
+    filled = empty.replace("authors = []", 'authors = ["A"]').replace('name = ""', 'name = "Mine"')
+    entry.write_text(filled, encoding="utf-8")
+    assert main(["submission", "check", str(target)]) == 0
+    message = capsys.readouterr().out
+    assert message.count(" passed ") == 6 and "accepted, sha256" in message
+
+
+def test_score_is_that_of_evaluate(capsys, tmp_path):
+    seeds = [folder(tmp_path / str(i), toml=TOML.replace("seed = 0", f"seed = {i}")) for i in range(2)]
+    (seeds[1] / "policy.onnx").write_bytes(models.other().SerializeToString())
+    results = tmp_path / "results"
+    assert main(["submission", "score", *map(str, seeds), *_FEW, "--results", str(results)]) == 0
+    message = capsys.readouterr().out
+    assert "Mine (2 seeds)" in message and "mppt" in message
+    stored = Results.read(results / "standard-test.json")
+    again = evaluate([load_entries(seed)[0] for seed in seeds], "standard", "test", seeds=[20_000, 20_001])
+    assert stored.episodes == again.episodes and stored.entries == again.entries
+
+
+def test_score_ranks_what_is_not_refused(capsys, tmp_path):
+    good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after("action = Tile(linear)"), OTHER)
+    assert main(["submission", "score", str(good), str(bad), *_FEW, "--results", str(tmp_path / "r")]) == 1
+    printed = capsys.readouterr()
+    assert "Mine" in printed.out and "Other" not in printed.out
+    assert "b: loading: onnxruntime cannot load the policy" in printed.err
+    assert {e["name"] for e in Results.read(tmp_path / "r" / "standard-test.json").entries} == {"Mine", *V0.anchors}
+    twin = folder(tmp_path / "c")
+    assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
+    printed = capsys.readouterr()
+    assert printed.out == "" and "Mine (training seed 0) is given twice" in printed.err
+    assert not list((tmp_path / "s").glob("*.*"))
+
+
+def test_score_plays_each_folder_on_the_standard_suite_of_its_version(capsys, tmp_path):
+    few = ("--split", "validation", "--scenarios", "12", "--results", str(tmp_path / "results"))
+    # However the key is written, one parser reads it; without it, the version is v1.
+    key = 'environment = "GFMWTG-14bus-v0"'
+    old = folder(tmp_path / "a", toml=TOML.replace(key, "'environment'='GFMWTG-14bus-v0'#"))
+    new = folder(tmp_path / "b", models.of_v1(), OTHER.replace(key, ""))
+    assert "--json prints one suite" in error_of(capsys, "submission", "score", str(old), str(new), *few, "--json")
+    assert main(["submission", "score", str(old), str(new), *few]) == 0
+    for suite, name in (("standard", "Mine"), ("standard-v1", "Other")):
+        entries = Results.read(tmp_path / "results" / f"{suite}-validation.json").entries
+        assert [entry["name"] for entry in entries if entry["training_seed"] is not None] == [name]
+
+
+def test_pages_about_entries_of_v1_come_with_their_scores(capsys, tmp_path):
+    pytest.importorskip("matplotlib")
+    mine = folder(tmp_path / "mine", models.of_v1(), TOML.replace('environment = "GFMWTG-14bus-v0"', ""))
+    seeds = ("--seeds", "20000", "20001", "20002")
+    assert main(["submission", "score", str(mine), *seeds, "--cards", str(tmp_path / "cards")]) == 0
+    assert {"mine.html", "mine.md"} <= {path.name for path in (tmp_path / "cards").iterdir()}
+    assert "| all, strata count alike | 3 |" in (tmp_path / "cards" / "mine.md").read_text(encoding="utf-8")
+
+
+def test_leaderboard_shows_laws_before_policies_are_played(capsys, tmp_path):
+    arguments = ["leaderboard", "--suite", "paper", "--entries", "mppt", str(folder(tmp_path / "mine"))]
+    assert main([*arguments, "--results", str(tmp_path)]) == 0
+    first, both = capsys.readouterr().out.split("suite paper")[1:]
+    assert "mppt" in first and "Mine" not in first and "Mine" in both
+
+
+def test_check_compares_with_the_entries_beside(capsys, tmp_path):
+    old, mine = folder(tmp_path / "old"), folder(tmp_path / "new", toml=OTHER)
+    data = json_of(capsys, "submission", "check", str(mine), "--beside", str(old), str(mine), "--json", code=1)
+    assert data["submissions"][0]["accepted"] and "the same policy file is given twice" in data["together"][0]
+    assert main(["submission", "check", str(old), "--beside", str(old)]) == 0
