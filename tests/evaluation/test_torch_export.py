@@ -1,7 +1,6 @@
 """Facts about policies as ONNX files: what they answer, and how any policy of torch becomes one."""
 
 import os
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -88,27 +87,6 @@ def test_module_with_memory_keeps_it_and_stays_in_its_mode(tmp_path):
     assert state.abs().max() > 0.1
 
 
-def test_a_learner_that_nobody_trains_here_is_exported_with_its_normalisation(tmp_path):
-    sb3_contrib = pytest.importorskip("sb3_contrib")
-    from stable_baselines3.common.vec_env import VecNormalize
-
-    from wtg_gym.sb3 import DeterministicPolicy, make_sb3_vec_env
-
-    envs = VecNormalize(make_sb3_vec_env(4, seed=0, suite="standard-v1", duration_s=2.0))
-    model = sb3_contrib.TQC("MlpPolicy", envs, learning_starts=8, policy_kwargs={"net_arch": [8]}, seed=0)
-    model.learn(64)
-    folder = export_onnx(DeterministicPolicy(model), tmp_path / "mine", **ENTRY)
-    observations = np.random.default_rng(1).normal(size=(6, 5, observation_width())).astype(np.float32)
-    spread = []
-    with OnnxPolicy(folder / "policy.onnx") as policy:
-        for each in observations:
-            actions, _ = model.predict(envs.normalize_obs(each), deterministic=True)
-            spread.append(policy.predict(each)[0])
-            assert np.abs(actions - spread[-1]).max() < 1e-5
-    assert np.std(spread) > 1e-3
-    envs.close()
-
-
 class Answers(nn.Linear):
     """A linear module whose answer goes through a function of it and the observation."""
 
@@ -135,7 +113,6 @@ def test_wrong_keys_of_the_entry_are_refused_before_the_work(tmp_path):
         export_onnx(nn.Linear(1, 1), tmp_path / "mine", action_mode="nothing", **ENTRY)
 
 
-POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 RANDOM = {
     "normal": models.after("action = RandomNormalLike(linear)"),
     "uniform, with a seed": models.after("action = RandomUniformLike<seed = 1.0>(linear)"),
@@ -194,15 +171,6 @@ def test_wrong_shapes_are_named():
         policy.predict(np.zeros((2, 18)))
     with pytest.raises(PolicyError, match=r"states of shapes \[\(3, 4\)\], got \[\(2, 4\)\]"):
         policy.predict(np.zeros((3, models.N)), (np.zeros((2, 4), dtype=np.float32),))
-
-
-def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it():
-    (entry,) = load_entries(POLICIES / "sac-k+tau-4")
-    seeds = range(20_000, 20_070)
-    together = evaluate([entry], "standard", "test", seeds=seeds, duration_s=2.0).episodes_of(entry.name)
-    for seed in (20_017, 20_069):
-        alone = evaluate([entry], "standard", "test", seeds=[seed], duration_s=2.0)
-        assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == seed]
 
 
 def test_missing_policy_and_other_action_mode_are_named(tmp_path):
