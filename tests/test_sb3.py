@@ -29,34 +29,29 @@ def zeros(env: VecEnv) -> np.ndarray:
     return np.zeros((env.num_envs, *env.action_space.shape), dtype=np.float32)
 
 
-def same(a, b) -> bool:
-    """Whether two values are of the same kind and equal in every bit."""
-    return bool(bits(a) == bits(b))
-
-
 def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
     reference, env = dummy(), native()
     for venv in (reference, env):
         venv.seed(40)
-    assert same(reference.reset(), env.reset())
-    assert same(dict(enumerate(reference.reset_infos)), dict(enumerate(env.reset_infos)))
+    assert bits(reference.reset()) == bits(env.reset())
+    assert bits(dict(enumerate(reference.reset_infos))) == bits(dict(enumerate(env.reset_infos)))
     # The first environment's first episode ends at a stall, the third's earlier than the others.
     first, third = rising(5.0), calm(9.0, 1.5)
     reference.seed(40)
     reference.set_options([{"scenario": first}, {}, {"scenario": third}])
     options = {"reset_mask": np.array([True, False, True]), "scenarios": [first, first, third]}
     env.vector_env.reset(seed=[40, 41, 42])
-    assert same(reference.reset(), env.vector_env.reset(seed=[40, 41, 42], options=options)[0])
+    assert bits(reference.reset()) == bits(env.vector_env.reset(seed=[40, 41, 42], options=options)[0])
     ends = []
     for actions in actions_of(1, 130, N).astype(np.float32):
         expected, got = reference.step(actions), env.step(actions)
         for a, b in zip(expected[:3], got[:3], strict=True):
-            assert same(a, b)
+            assert bits(a) == bits(b)
         for env_index, done in enumerate(got[2]):
             assert got[3][env_index]["TimeLimit.truncated"] == expected[3][env_index]["TimeLimit.truncated"]
             if done:
-                assert same(expected[3][env_index], got[3][env_index])
-                assert same(reference.reset_infos[env_index], env.reset_infos[env_index])
+                assert bits(expected[3][env_index]) == bits(got[3][env_index])
+                assert bits(reference.reset_infos[env_index]) == bits(env.reset_infos[env_index])
                 ends.append(
                     (env_index, got[3][env_index]["termination_reason"], got[3][env_index]["TimeLimit.truncated"])
                 )

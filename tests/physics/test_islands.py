@@ -43,7 +43,7 @@ def rows_of(simulator: Simulator, kind: Kind, units: list[int]) -> np.ndarray:
     return simulator.layout.first[kind] + np.add.outer(np.array(units, dtype=int) * n, np.arange(n))
 
 
-def alone(settings: Plant, buses: tuple[int, ...], slack: int, held: float | None = None) -> Plant:
+def alone(settings: Plant, buses: tuple[int, ...], slack: int) -> Plant:
     case = settings.case
     return dataclasses.replace(
         settings,
