@@ -33,6 +33,7 @@ LIES = [
     "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x01\\x00'); sink.flush()",
     "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x00abc'); sink.flush()",
 ]
+COMMAND = ("worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})", r"cannot load the policy: a\\x1b\[2J\\n'''\\nb$")
 
 
 def opened(content: bytes | None = None) -> OnnxPolicy:
@@ -257,15 +258,8 @@ worker._serve = serve""")
     assert [path.name for path in tmp_path.iterdir()] == ["kept"] and (tmp_path / "kept").read_text() == "content"
 
 
-@pytest.mark.parametrize("attack", LIES)
-def test_lies_of_the_process_are_errors(attack, instead):
+@pytest.mark.parametrize(("attack", "said"), [*((lie, None) for lie in LIES), COMMAND])
+def test_lies_of_the_process_are_errors_and_what_it_says_is_no_command(attack, said, instead):
     instead(f"def serve(content, source, sink):\n    {attack}\nworker._serve = serve")
-    with pytest.raises(PolicyError), opened() as policy:
+    with pytest.raises(PolicyError, match=said), opened() as policy:
         policy.predict(ONES)
-
-
-def test_what_the_process_says_is_no_command(instead):
-    says = "worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})"
-    instead(f"def serve(content, source, sink):\n    {says}\nworker._serve = serve")
-    with pytest.raises(PolicyError, match=r"cannot load the policy: a\\x1b\[2J\\n'''\\nb$"):
-        opened().predict(ONES)

@@ -26,6 +26,8 @@ from wtg_gym.scenarios.grid_suite import all_places, unscreened
 
 MISTAKES = [
     ({"name": "../elsewhere"}, "name must be letters"),
+    ({"name": "standard"}, "another suite than standard-v1: give it another name"),
+    ({"grid": "nowhere.json"}, r"wrong\.json: cannot read the grid .*nowhere\.json"),
     ({"places": {"load_noise_bus": 99}}, "LoadNoise.bus: there is no bus 99"),
     ({"places": {"load_buses": [[5, 1.0]]}}, r"Places.load_buses must be tuple\[tuple\[int, float, float\]"),
     ({"places": {"governor_buses": [5]}}, "GovernorLosses.buses: there is no machine with a governor"),
@@ -86,13 +88,6 @@ def test_an_evaluation_of_a_suite_that_is_written_anew_meanwhile_is_refused(fold
     assert len(list((folder / "parts").iterdir())) == 1
 
 
-def test_a_suite_whose_grid_is_missing_is_refused_in_a_line(folder):
-    (folder / "ring.json").unlink()
-    with pytest.raises(ValueError, match=r"mine\.json: cannot read the grid .*ring\.json") as refusal:
-        get_suite("suites/mine.json")
-    assert "\n" not in str(refusal.value)
-
-
 def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(folder, capsys):
     json_of(capsys, "evaluate", "--suite", "suites/mine.json", "--scenarios", "3", "--results", "found", "--json")
     assert {path.name for path in (folder / "found").glob("*.json")} == {"my-ring-v1-validation.json"}
@@ -104,15 +99,9 @@ def test_a_suite_with_a_mistake_is_refused_before_anything_is_played(folder, cha
     places = {**data["places"], **change.pop("places", {})}
     wrong = folder / "wrong.json"
     wrong.write_text(text_of({**data, **change, "places": places}), encoding="utf-8")
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(ValueError, match=words) as refusal:
         get_suite(str(wrong))
-
-
-def test_another_suite_may_not_have_the_name_of_a_frozen_one(folder):
-    other = folder / "standard.json"
-    other.write_bytes((folder / "ring.json").read_bytes())
-    with pytest.raises(ValueError, match="another suite than standard-v1: give it another name"):
-        get_suite(str(other))
+    assert "\n" not in str(refusal.value)
 
 
 def test_a_grid_whose_runs_end_without_any_event_is_refused_with_the_protection():
