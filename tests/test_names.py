@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.cli.calls import error_of
 from tests.submissions.models import TOML, folder
 from wtg_gym import Entry, Plant, TrackingLaw, get_law, get_suite, load_entries
 from wtg_gym.envs import EnvSettings
@@ -93,13 +92,6 @@ def test_every_door_has_the_rule(door, name, tmp_path):
     DOORS[door]("Another", tmp_path / "legal" if door in ("folder", "author", "text") else tmp_path)
     with pytest.raises(ValueError, match="characters on one line"):
         DOORS[door](name, tmp_path)
-
-
-def test_command_names_the_law_file_and_the_rule(tmp_path, capsys):
-    for name, message in (("=1+1", "characters on one line"), ("M-PPT", "looks like, that of a built-in law")):
-        law = _law(name, tmp_path / "x.toml")
-        error = error_of(capsys, "simulate", "--strategy", str(law))
-        assert message in error and "x.toml" in error
 
 
 def test_names_that_look_alike_are_one():

@@ -31,6 +31,11 @@ BAD = [
     ("simulate --scenario broken.json", "broken.json is not JSON"),
     ("simulate --scenario long.json", "long.json"),
     ("simulate --scenario sensors.json", "say with --suite whose grid it is"),
+    (
+        "simulate --strategy formula.toml",
+        "the law file formula.toml: the name of a law must be 1 … 60 characters on one",
+    ),
+    ("simulate --strategy alike.toml", "alike.toml: name 'M-PPT' is, or looks like, that of a built-in law"),
     ("simulate --wind-csv nowhere.csv", "nowhere.csv: No such file"),
     ("evaluate --entries mppt mppt", "the entry mppt is given twice"),
     ("evaluate --entries best", "the folder best holds no entry.toml; several folders are best/*"),
@@ -80,7 +85,8 @@ def folder(tmp_path_factory):
     (root / "good.json").write_text(json.dumps(scenario))
     (root / "long.json").write_text(json.dumps({**scenario, "events": "x" * 100_000}))
     (root / "sensors.json").write_text(get_suite("standard-v1").scenario(20_003).to_json())
-    (root / "seven.toml").write_text('name = "deloaded-7"\nk_min = 0.3\nk_nominal = 0.35\nk_max = 0.4\n')
+    for file, name in (("seven", "deloaded-7"), ("formula", "=1+1"), ("alike", "M-PPT")):
+        (root / f"{file}.toml").write_text(f'name = "{name}"\nk_min = 0.3\nk_nominal = 0.35\nk_max = 0.4\n')
     evaluate(root / "seven.toml", "paper", "test", duration_s=2.0).write(root)
     return root
 

@@ -105,8 +105,6 @@ def test_wind_and_groups_follow_each_other_or_a_csv_file(capsys, tmp_path):
 def test_suite_of_v1_runs_in_its_own_grid(capsys, tmp_path):
     laws = ("--strategy", "coordinated-piecewise", "coordinated-tuned")
     data = json_of(capsys, "simulate", "--suite", "standard-v1", "--seed", "10003", *laws, "--json")
-    assert [group["bus"] for group in data["plant"]["groups"]] == [2, 3, 6, 8]
-    assert data["plant"]["physics"] == "extended"
     played = evaluate([], "standard-v1", seeds=(10_003,))
     for run in data["runs"]:
         (episode,) = played.episodes_of(run["strategy"])
