@@ -46,7 +46,6 @@ UNKNOWN = [
     ("my_entries.early", "unknown entry 'my_entries.early'"),
 ]
 WRONG = [
-    ({"name": ""}, "1 … 60 characters"),
     ({"name": "a", "policy": object()}, "predict"),
     ({"name": "a", "strategy": "mpp"}, "known laws: mppt"),
     ({"name": "a", "action_mode": "both"}, "k, tau, k\\+tau"),

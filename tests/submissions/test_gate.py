@@ -163,12 +163,10 @@ WRONG: list[tuple[str | bytes, str]] = [
     (TOML.replace("= 0", "= " + 5000 * "[" + 5000 * "]"), "not TOML"),
     ("", "missing: ['name', 'authors', 'training_seed', 'action_mode']"),
     (TOML + "law = 'x'\n", "unknown: ['law']"),
-    (TOML.replace("Jane Doe", "x" * 401), "an author must be 1 … 60 characters"),
     (TOML.replace('["Jane Doe"]', '"me"'), "authors must be a list of 1 … 40 names"),
     (TOML.replace('["Jane Doe"]', '["a", "*b*"]'), "an author must be"),
     (TOML.replace('["Jane Doe"]', "[]"), "authors must be a list of 1 … 40 names"),
     (TOML + 'description = "_a_"', "description must be"),
-    (TOML + 'trained_on = "a@b"', "trained_on must be"),
     *(
         (TOML.replace("Mine", name), "name must say nothing of seeds")
         for name in ("Mine (training seed 0)", "PPO (5 Seeds)", "M5seeds", "M 5 S.E.E.D.S", "5_training_seeds")
