@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -82,42 +81,33 @@ def check_by_differences(
     gradient = tape.gradient(scenarios, actions, weights)
     tape.start(scenarios)
     law, values = tape.law(), tape.parameter_values()
-    plays = _Plays(tape, scenarios, actions, law, weight)
-    base = plays.cost()
+
+    def cost(actions: Floats = actions, law: Floats = law, parameters: Mapping[str, float] | None = None) -> Floats:
+        if parameters is not None:
+            tape.set_parameters(parameters)
+        tape.start(scenarios)
+        tape.set_law(law)
+        costs: Floats = np.sum([tape.step(each)[1] @ weight for each in actions], axis=0)
+        return costs
+
+    base = cost()
 
     def compared(name: str, slope: Floats, up: Floats, down: Floats, h: float, h_below: float) -> Difference:
         below = (base - down) / h_below if h_below > 0.0 else np.full_like(base, math.nan)
         return Difference(name, slope, (up - down) / (h + h_below), below, (up - base) / h)
 
     along = np.einsum("kla,kla->l", gradient.actions, delta)
-    up, down = (plays._replace(actions=actions + h * delta).cost() for h in (step, -step))
+    up, down = (cost(actions + h * delta) for h in (step, -step))
     rows = [compared("actions", along, up, down, step, step)]
     for i, name in enumerate(LAW_PARAMETERS):
         shift = step * (np.arange(len(LAW_PARAMETERS)) == i)
-        up, down = (plays._replace(law=moved).cost() for moved in (law + shift, law - shift))
+        up, down = (cost(law=moved) for moved in (law + shift, law - shift))
         rows.append(compared(name, gradient.law[:, :, i].sum(axis=1), up, down, step, step))
     for i, (name, value) in enumerate(values.items()):
         h = step * (abs(value) or 1.0)
         # Nothing lies below 0.
         h_below = h if value else 0.0
-        up, down = (plays.cost({name: moved}) for moved in (value + h, value - h_below))
+        up, down = (cost(parameters={name: moved}) for moved in (value + h, value - h_below))
         rows.append(compared(name, gradient.parameters[:, i], up, down, h, h_below))
         tape.set_parameters({name: value})
     return Differences(rows)
-
-
-class _Plays(NamedTuple):
-    tape: Tape
-    scenarios: Sequence[Scenario]
-    actions: Floats
-    law: Floats
-    weight: Floats
-
-    def cost(self, parameters: Mapping[str, float] = MappingProxyType({})) -> Floats:
-        """Return each episode's cost (num_envs,), with other values of some parameters."""
-        if parameters:
-            self.tape.set_parameters(parameters)
-        self.tape.start(self.scenarios)
-        self.tape.set_law(self.law)
-        costs: Floats = np.sum([self.tape.step(actions)[1] @ self.weight for actions in self.actions], axis=0)
-        return costs

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,8 +28,8 @@ from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK
 
 #: Parameters of a tracking law that gradients are taken with respect to.
 LAW_PARAMETERS = ("k_min", "k_nominal", "k_max", "inverse_time_constant")
-#: A copy of all blocks takes 3 kB an environment, 5 in v1: kept at every step of a long run it would fill the memory.
-_STEPS_PER_CHECKPOINT = 25
+#: A copy of all blocks takes 3 kB an environment, 5 in v1: kept at every interval it would fill the memory.
+_INTERVALS_PER_CHECKPOINT = 25
 
 
 class Pulled(NamedTuple):
@@ -72,49 +72,6 @@ def term_weights(weights: Mapping[str, float] | None) -> Floats:
         raise ValueError(f"weights must be finite numbers by the names of terms, got {weights!r:.60}")
     require_known("terms of the cost", weights, COST_TERMS)
     return np.array([weights.get(term, 0.0) for term in COST_TERMS])
-
-
-class _Recording:
-    """The steps of episodes since their start, and how the simulator's blocks stood before each of them.
-
-    Args:
-        step: advances blocks by a step with actions.
-    """
-
-    def __init__(self, step: Callable[[Floats, Floats], None]) -> None:
-        self._step = step
-        #: Actions of each step (num_envs, n_action).
-        self.actions: list[Floats] = []
-        #: Blocks before every so many steps, and before each step from the latest of these asked for.
-        self._checkpoints: list[Floats] = []
-        self._replayed: tuple[int, list[Floats]] = -1, []
-
-    @property
-    def needs_blocks(self) -> bool:
-        """Whether the blocks before the next step are kept."""
-        return len(self.actions) % _STEPS_PER_CHECKPOINT == 0
-
-    def add(self, blocks: Floats | None, actions: Floats) -> None:
-        """Record a step with actions, and the blocks before it where they are needed."""
-        if blocks is not None:
-            self._checkpoints.append(blocks)
-        self.actions.append(actions.copy())
-        self._replayed = -1, []
-
-    def before(self, step: int) -> Floats:
-        """Return the blocks as they stood before a step, from the nearest checkpoint on."""
-        if not 0 <= step < len(self.actions):
-            taken = len(self.actions)
-            raise ValueError(f"there is no step {step}: since start() {taken} have been taken, the first is 0")
-        index, offset = divmod(step, _STEPS_PER_CHECKPOINT)
-        if self._replayed[0] != index:
-            blocks, replayed = self._checkpoints[index].copy(), []
-            first = index * _STEPS_PER_CHECKPOINT
-            for actions in self.actions[first : first + _STEPS_PER_CHECKPOINT]:
-                replayed.append(blocks.copy())
-                self._step(blocks, actions)
-            self._replayed = index, replayed
-        return self._replayed[1][offset]
 
 
 class Tape:
@@ -221,7 +178,7 @@ class Tape:
     @property
     def n_steps(self) -> int:
         """Steps taken since the start."""
-        return len(self._recording.actions) // self.batch.settings.n_intervals
+        return len(self._actions) // self.batch.settings.n_intervals
 
     @property
     def n_carried(self) -> int:
@@ -246,8 +203,13 @@ class Tape:
         return self.batch.observations.copy()
 
     def _begin(self, *, started: bool) -> None:
-        self._recording, self._started = _Recording(self._again), started
+        self._started = started
         self.n_starts += 1
+        #: Actions of each interval since the start (num_envs, n_action).
+        self._actions: list[Floats] = []
+        #: Blocks before every so many intervals, and before each interval from the latest of these asked for.
+        self._checkpoints: list[Floats] = []
+        self._replayed: tuple[int, list[Floats]] = -1, []
 
     def require_started(self) -> None:
         """Raise a ValueError before the first start."""
@@ -288,15 +250,32 @@ class Tape:
         terms = np.zeros((self.batch.num_envs, len(COST_TERMS)))
         for _ in range(self.batch.settings.n_intervals):
             running = simulator.env_values("active") > 0.5
-            before = simulator.blocks.copy() if self._recording.needs_blocks else None
+            before = [] if len(self._actions) % _INTERVALS_PER_CHECKPOINT else [simulator.blocks.copy()]
             self.batch.step(actions)
-            self._recording.add(before, actions)
+            self._checkpoints += before
+            self._actions.append(actions.copy())
+            self._replayed = -1, []
             terms += np.where(running[:, np.newaxis], self._rows(self._term_rows), 0.0)
         return self.batch.observations.copy(), terms
 
     def before(self, step: int) -> Floats:
         """Return the simulator's blocks as they stood before a step."""
-        return self._recording.before(step * self.batch.settings.n_intervals)
+        return self._before(step * self.batch.settings.n_intervals)
+
+    def _before(self, interval: int) -> Floats:
+        """Return the blocks before an interval, from the nearest checkpoint on."""
+        if not 0 <= interval < len(self._actions):
+            step, taken = interval // self.batch.settings.n_intervals, self.n_steps
+            raise ValueError(f"there is no step {step}: since start() {taken} have been taken, the first is 0")
+        index, offset = divmod(interval, _INTERVALS_PER_CHECKPOINT)
+        if self._replayed[0] != index:
+            blocks, replayed = self._checkpoints[index].copy(), []
+            first = index * _INTERVALS_PER_CHECKPOINT
+            for actions in self._actions[first : first + _INTERVALS_PER_CHECKPOINT]:
+                replayed.append(blocks.copy())
+                self._again(blocks, actions)
+            self._replayed = index, replayed
+        return self._replayed[1][offset]
 
     @undivided
     def _again(self, blocks: Floats, actions: Floats) -> None:
@@ -335,7 +314,7 @@ class Tape:
             ValueError: the step does not exist, or derivatives have another shape.
         """
         batch, n = self.batch, self.batch.settings.n_intervals
-        bars, all_rows = np.zeros_like(self._recording.before(n * step)), np.arange(self.n_carried)
+        bars, all_rows = np.zeros_like(self.before(step)), np.arange(self.n_carried)
         put_rows(bars, all_rows, _shaped("carried", carried, (batch.num_envs, self.n_carried)))
         terms = _shaped("terms", terms, (batch.num_envs, self._term_rows.size))
         shown = _shaped("outputs", outputs, (batch.num_envs, self._output_rows.size))
@@ -357,7 +336,7 @@ class Tape:
             cotangents before it, in blocks like those after it; those of environments that had ended are unchanged;
             which environments ran in it (num_envs, 1); and what it adds to cotangents of actions, laws and parameters.
         """
-        batch, blocks = self.batch, self._recording.before(interval).copy()
+        batch, blocks = self.batch, self._before(interval).copy()
         in_blocks = blocks[:, batch.simulator.layout.env("active"), np.newaxis] > 0.5
         running = in_blocks.reshape(-1, 1)[: batch.num_envs]
         in_force, bars = self._moved.in_force(blocks, batch.num_envs), np.where(in_blocks, after, 0.0)
@@ -383,7 +362,7 @@ class Tape:
         n_constants = network.tables.numbers.size if self.parameters else 0
         constants = np.zeros((len(blocks), n_constants, simulator.width))
         bars, data, task = Bars(blocks_bars, seen, actions, constants), simulator.data, self.batch.task_data
-        taken = self._recording.actions[interval]
+        taken = self._actions[interval]
         simulator.threads.run(
             lambda first, last, worker: pull(
                 blocks, bars, first, last, network, data, task, taken, (self._rules, self._work(worker))
