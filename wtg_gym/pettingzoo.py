@@ -7,7 +7,8 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs import GFMWTGEnv, interface
+from wtg_gym.envs import GFMWTGEnv
+from wtg_gym.envs.interface import Action, Observation, as_actions
 from wtg_gym.envs.rendering import Frame
 from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName, require_known
@@ -20,8 +21,6 @@ try:
 except ImportError as error:
     raise ImportError(f"wtg_gym.pettingzoo needs PettingZoo; {install_advice('marl')}") from error
 
-Observation = npt.NDArray[np.float32]
-Action = npt.NDArray[np.float32]
 #: Observations, rewards, terminations, truncations and infos, by agent.
 Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
 
@@ -64,12 +63,11 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         self.agents: list[str] = []
         n_modes = sum(ACTION_MODES[settings.action_mode])
         width = batch.n_local + n_modes
-        bound, high = np.full(width, OBSERVATION_BOUND, dtype=np.float32), np.ones(n_modes, dtype=np.float32)
         # Each its own, so that each can be seeded by itself.
-        self.observation_spaces = ByName(
-            "agent", {name: gym.spaces.Box(-bound, bound) for name in self.possible_agents}
+        self.observation_spaces, self.action_spaces = (
+            ByName("agent", {name: gym.spaces.Box(-bound, bound, (n,)) for name in self.possible_agents})
+            for n, bound in ((width, OBSERVATION_BOUND), (n_modes, 1.0))
         )
-        self.action_spaces = ByName("agent", {name: gym.spaces.Box(-high, high) for name in self.possible_agents})
         self.state_space = self.single_env.observation_space
         self._action_shape = (n_modes,)
         self._seen = {agent: slice(j * width, (j + 1) * width) for j, agent in enumerate(self.possible_agents)}
@@ -144,7 +142,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         joint = np.zeros(len(self._done_by) * self._action_shape[0])
         for agent in self.agents:
             try:
-                action = interface.as_actions(actions[agent], self._action_shape)
+                action = as_actions(actions[agent], self._action_shape)
             except ValueError as error:
                 raise ValueError(f"{agent}: {error}") from None
             if not np.isfinite(action).all():

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings, as_scenario
-from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, pay, step_blocks, task_data
+from wtg_gym.envs.stepping import N_INFO, Outputs, bind, log_score, pay, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.layout import BatchData, Floats
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
@@ -87,7 +87,7 @@ class EnvBatch:
             n_threads=n_threads,
             intervals_at_once=settings.n_intervals,
         )
-        self.num_envs = self.simulator.num_envs
+        self.num_envs = num_envs = self.simulator.num_envs
         self.nominal_hz = plant.case.frequency_hz
         points = 100.0 / (settings.task.scale or 1.0) if settings.scores else 0.0
         self.task_data = task_data(settings.task, settings.choices, self.simulator.layout, settings.n_intervals, points)
@@ -248,7 +248,17 @@ class EnvBatch:
         raise StartError(f"none of {_MOST_DRAWS} drawn scenarios starts; of the last one: {refusal}") from refusal
 
     def _new_outputs(self, num_envs: int) -> Outputs:
-        return new_outputs(num_envs, self.n_observation, self.n_steps_of_episode if self.settings.scores else -1)
+        """Return outputs of zeros."""
+        return Outputs(
+            observations=np.zeros((num_envs, self.n_observation), dtype=np.float32),
+            rewards=np.zeros(num_envs),
+            infos=np.zeros((num_envs, N_INFO)),
+            terminated=np.zeros(num_envs, dtype=np.bool_),
+            truncated=np.zeros(num_envs, dtype=np.bool_),
+            reference=np.zeros((num_envs, self.n_steps_of_episode + 1 if self.settings.scores else 0)),
+            offsets=np.ones(num_envs),
+            gained=np.zeros(num_envs),
+        )
 
     def _start_tasks(
         self, prepared: PreparedBatch, scenarios: Sequence[Scenario], n_steps: npt.NDArray[np.int64]

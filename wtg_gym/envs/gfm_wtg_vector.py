@@ -15,8 +15,6 @@ from wtg_gym.envs.batch import EPISODES_AT_ONCE, EnvBatch, PreparedEpisodes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
 
-_MOST_ENVS = 1_000_000
-
 
 class NextEpisodes:
     """The episodes that environments play next, drawn by each one's own generator and prepared several at a time.
@@ -118,7 +116,6 @@ class GFMWTGVectorEnv(
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        self.num_envs = require_whole("num_envs", num_envs, 1, _MOST_ENVS)
         if n_threads is not None:
             n_threads = require_whole("n_threads", n_threads, 1)
         if max_episode_steps is not None:
@@ -128,8 +125,9 @@ class GFMWTGVectorEnv(
             require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.single_observation_space, self.single_action_space = self._open(
-            arguments, render_mode, self.num_envs, n_threads
+            arguments, render_mode, num_envs, n_threads
         )
+        self.num_envs = self._batch.num_envs
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

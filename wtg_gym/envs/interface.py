@@ -6,7 +6,7 @@ import inspect
 import numbers
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -20,10 +20,6 @@ from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import did_you_mean, require_choice, require_known
 from wtg_gym.signals import undivided
 from wtg_gym.tasks import TASKS, observation
-
-if TYPE_CHECKING:
-    # For the type checker alone: in Gymnasium 1.2 a Box takes no type.
-    Space = gym.spaces.Box[np.float32]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -97,7 +93,7 @@ class OverBatch:
 
     def _open(
         self, arguments: Mapping[str, Any], render_mode: str | None, num_envs: int = 1, n_threads: int | None = None
-    ) -> "tuple[Space, Space]":
+    ) -> "tuple[gym.spaces.Box[np.float32], gym.spaces.Box[np.float32]]":
         """Make settings, batch and frames; return the observation space and the action space of one episode.
 
         A TypeError names an argument that is unknown, a ValueError a value that is not allowed.

@@ -48,20 +48,6 @@ class Outputs(NamedTuple):
     gained: Floats
 
 
-def new_outputs(num_envs: int, n_observation: int, n_steps: int = -1) -> Outputs:
-    """Return outputs of zeros, for rewards that are points of the score in episodes of so many control steps."""
-    return Outputs(
-        observations=np.zeros((num_envs, n_observation), dtype=np.float32),
-        rewards=np.zeros(num_envs),
-        infos=np.zeros((num_envs, N_INFO)),
-        terminated=np.zeros(num_envs, dtype=np.bool_),
-        truncated=np.zeros(num_envs, dtype=np.bool_),
-        reference=np.zeros((num_envs, n_steps + 1)),
-        offsets=np.ones(num_envs),
-        gained=np.zeros(num_envs),
-    )
-
-
 class TaskData(NamedTuple):
     """Where the loops of the task find rows: in scratch up to `was_active`, then in blocks."""
 

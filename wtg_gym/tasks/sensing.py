@@ -3,7 +3,6 @@
 The equations of the sensors stand in :mod:`wtg_gym.physics.sensors`.
 """
 
-import math
 from typing import Annotated, NamedTuple
 
 from wtg_gym.physics import sensors as equations
@@ -52,11 +51,6 @@ KEPT_SHIFTS = Kind(
 )
 #: The newest of each group.
 NEWEST = Kind(name="newest measurements", sees={"kept": KEPT, "sensed": SENSED, "sensors": SENSORS})
-
-
-def n_delayed(control_dt: float) -> int:
-    """Return how many measurements an environment keeps for the longest delay."""
-    return math.ceil(equations.DELAY_MAX_S / control_dt - 1e-9) + 1
 
 
 @system(SENSED, "noise")

@@ -12,11 +12,12 @@ import numpy as np
 from wtg_gym.physics import grid, integration, tracking_law
 from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.plant import Plant, TaskUnits
+from wtg_gym.physics.sensors import DELAY_MAX_S
 from wtg_gym.systems import routines, systems
 from wtg_gym.systems.programs import Program, in_one_table
 from wtg_gym.tasks import cost, episode
 from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GRID, OBSERVED_MACHINES
-from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS, n_delayed
+from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS
 
 #: Share of the load that the torque of the machines is counted in on other grids than the IEEE 14-bus system, where it
 #: is 100 MVA.
@@ -155,7 +156,8 @@ class Task:
         """Return the task's kinds of unit and programs, as a simulator takes them."""
         plant, sensors = choices.plant, int(self.has_sensors)
         n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), episode.rocof_window(plant.control_dt)
-        n_kept = n_delayed(plant.control_dt)
+        # As many measurements as the longest delay needs.
+        n_kept = math.ceil(DELAY_MAX_S / plant.control_dt - 1e-9) + 1
         kept = np.arange(n_wtg * sensors * n_kept)
         older, newer = (kept.reshape(-1, n_kept)[:, columns].ravel() for columns in (slice(-1), slice(1, None)))
         modulated = dict(zip(("modulates k", "modulates tau"), episode.ACTION_MODES[choices.action_mode], strict=True))
