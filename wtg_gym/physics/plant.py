@@ -249,13 +249,19 @@ def plant_tables(settings: Plant) -> PlantTables:
     impedances += [1j * turbines[0].converter.reactance / rating for rating in share]
     impedances += [impedance for device in settings.all_devices for impedance in device.impedances]
     stages = [Shedding(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
-    # Each machine's share of what loads need at the start; none where the case dispatches them. A gate beyond 1 p.u.
-    # says nothing about the power that a machine is meant for.
-    sharing = [
-        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
-        for m in case.machines
-    ]
+    # Each machine's share of what loads need at the start; none where the case dispatches them.
+    sharing = [power_at_gate_mw(machine) if settings.shares_dispatch else 0.0 for machine in case.machines]
     participation = np.array(sharing) / (sum(sharing) or 1.0)
+    with_unit = set(settings.unit_buses)
+    buses = [
+        Bus(
+            load=Phasor(bus.load_mw / base, bus.load_mvar / base),
+            voltage=1.0 if bus.voltage_pu is None else bus.voltage_pu,
+            holds_voltage=bus.voltage_pu is not None and bus.number in with_unit,
+            is_slack=bus.number == case.slack_bus,
+        )
+        for bus in case.buses
+    ]
     network = _network_of(settings, 1.0 / np.array(impedances, dtype=np.complex128), bool(participation.any()))
     return PlantTables(
         network=network,
@@ -270,7 +276,7 @@ def plant_tables(settings: Plant) -> PlantTables:
         controls=machine_models.control_constants(case.machines),
         extension=structured(wind_turbine.Extension, extensions * settings.extended),
         shedding=structured(Shedding, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
-        buses=structured(Bus, _buses_of(case, network.unit_bus)),
+        buses=structured(Bus, buses),
         of_env={
             "omega_n": 2.0 * math.pi * case.frequency_hz,
             "base_mva": base,
@@ -286,17 +292,10 @@ def plant_tables(settings: Plant) -> PlantTables:
     )
 
 
-def _buses_of(case: NetworkCase, unit_bus: Whole) -> list[Bus]:
-    base = case.base_mva
-    return [
-        Bus(
-            load=Phasor(bus.load_mw / base, bus.load_mvar / base),
-            voltage=1.0 if bus.voltage_pu is None else bus.voltage_pu,
-            holds_voltage=bus.voltage_pu is not None and index in unit_bus,
-            is_slack=bus.number == case.slack_bus,
-        )
-        for index, bus in enumerate(case.buses)
-    ]
+def power_at_gate_mw(machine: machine_parameters.SynchronousMachineParameters) -> float:
+    """Return what a machine gives at its largest gate, 1 p.u. at most; 0 without a governor [MW]."""
+    # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
+    return machine.rating_mva * min(gate_limits(machine.governor)[1], 1.0) if machine.governor is not None else 0.0
 
 
 def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Network:

@@ -287,7 +287,8 @@ class Wind(Record):
                 size *= wind.gust_share(draft.mean_winds_m_s[group], draft.n_turbines[group])
             return group, wind.extreme_operating_gust(time_s, start_s, size)
         change = pick.between(self.ramp_m_s) * (1.0 if pick.chance(0.5) else -1.0)
-        return slice(None), wind.coherent_ramp(time_s, start_s, change, pick.between(self.ramp_s))
+        # It grows linearly, and stays.
+        return slice(None), change * np.clip((time_s - start_s) / pick.between(self.ramp_s), 0.0, 1.0)
 
     def check_turbines(self, n_turbines: Sequence[float], load_mw: float) -> None:
         """Refuse turbines per group that hardly any mean winds let give the penetration of a load [MW]."""

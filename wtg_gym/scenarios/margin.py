@@ -15,10 +15,10 @@ import math
 
 import numpy as np
 
-from wtg_gym.physics import aerodynamics, grid, machine_parameters
+from wtg_gym.physics import aerodynamics, grid
 from wtg_gym.physics import scenario as events
 from wtg_gym.physics.machine import gate_limits
-from wtg_gym.physics.plant import Plant
+from wtg_gym.physics.plant import Plant, power_at_gate_mw
 from wtg_gym.physics.scenario import Event, Scenario
 
 #: Deviation of the frequency at which governors are counted [Hz]: the largest that continental Europe's grid is
@@ -47,9 +47,9 @@ class ReserveMargin:
         self._most = [gate_limits(m.governor)[1] if m.governor else 0.0 for m in case.machines]
         if not plant.shares_dispatch:
             governed = [m for m in governed if m.bus == case.slack_bus]
-        total = sum(_size(machine) for machine in governed)
+        total = sum(map(power_at_gate_mw, governed))
         #: Each machine's share of the load at the start, 0 if the case has its dispatch.
-        self._shares = [_size(machine) / total if machine in governed else 0.0 for machine in case.machines]
+        self._shares = [power_at_gate_mw(machine) / total if machine in governed else 0.0 for machine in case.machines]
         self._parts: dict[tuple[int, ...], list[set[int]]] = {(): [set(self._loads_mw)]}
 
     def of(self, scenario: Scenario, least: float = -math.inf) -> float:
@@ -112,11 +112,6 @@ class ReserveMargin:
             if power_mw > 0.0 and load_mw > 0.0:
                 margins.append(power_mw / load_mw - (1.0 + _LOSSES))
         return min(margins, default=math.inf)
-
-
-def _size(machine: machine_parameters.SynchronousMachineParameters) -> float:
-    """Return the power that a machine's share of the load at the start follows [MW]."""
-    return machine.rating_mva * min(gate_limits(machine.governor)[1], 1.0) if machine.governor is not None else 0.0
 
 
 def _opened(event: Event, time_s: float, case: grid.NetworkCase) -> list[int]:

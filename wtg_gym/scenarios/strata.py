@@ -114,19 +114,13 @@ KINDS: Mapping[str, draws.Changes] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stratum:
-    """A range of the reserve margin [-], and the kinds of event that are tried in turn until a scenario falls in it."""
-
-    margin: draws.Span
-    kinds: tuple[str, ...]
-
-
-#: The strata of version v1. Below -0.06 many runs are lost under every controller.
-STRATA: Mapping[str, Stratum] = {
-    "ample": Stratum(margin=(0.10, math.inf), kinds=("loads", "large-loads", "fault", "group")),
-    "tight": Stratum(margin=(0.0, 0.10), kinds=("large-loads", "governor", "group", "fault", "island")),
-    "short": Stratum(margin=(-0.06, 0.0), kinds=("large-loads", "governor", "group", "fault", "machine", "island")),
+#: Range of the reserve margin in each stratum of version v1 [-]. Below -0.06 many runs are lost under every controller.
+_MARGINS: Mapping[str, draws.Span] = {"ample": (0.10, math.inf), "tight": (0.0, 0.10), "short": (-0.06, 0.0)}
+#: Kinds of event that are tried in turn until a scenario falls in its stratum.
+_KINDS_IN: Mapping[str, tuple[str, ...]] = {
+    "ample": ("loads", "large-loads", "fault", "group"),
+    "tight": ("large-loads", "governor", "group", "fault", "island"),
+    "short": ("large-loads", "governor", "group", "fault", "machine", "island"),
 }
 
 
@@ -219,17 +213,6 @@ def _records(layers: Sequence[draws.Changes], size: float) -> tuple[draws.Record
     return tuple(record(**fields) for record, fields in values.items())
 
 
-def _where(places: Places) -> dict[str, draws.Changes]:
-    """Return where each kind of event strikes that needs a place."""
-    return {
-        "governor": {draws.GovernorLosses: {"buses": places.governor_buses}},
-        "machine": {draws.MachineOutages: {"buses": places.generator_buses}},
-        "group": {draws.GroupTrips: {"probability": float(places.group_trips)}},
-        "fault": {draws.Faults: {"lines": places.fault_lines}},
-        "island": {draws.Islandings: {"line_sets": places.islandings}},
-    }
-
-
 def suite_of_strata(
     name: str,
     description: str,
@@ -260,7 +243,15 @@ def suite_of_strata(
         draws.MachineOutages: {"buses": places.machine_buses},
         draws.UnitCommitment: {"generator_mva": governed_mva(settings), "constant_mw": constant_mw(settings)},
     }
-    kinds, where = {}, _where(places)
+    # Where each kind of event strikes that needs a place.
+    where: dict[str, draws.Changes] = {
+        "governor": {draws.GovernorLosses: {"buses": places.governor_buses}},
+        "machine": {draws.MachineOutages: {"buses": places.generator_buses}},
+        "group": {draws.GroupTrips: {"probability": float(places.group_trips)}},
+        "fault": {draws.Faults: {"lines": places.fault_lines}},
+        "island": {draws.Islandings: {"line_sets": places.islandings}},
+    }
+    kinds = {}
     for kind, of_kind in KINDS.items():
         of_place = where.get(kind, {})
         if all(place for fields in of_place.values() for place in fields.values()):
@@ -277,10 +268,8 @@ def suite_of_strata(
         duration_s=180.0,
         task=V1,
         sensors=sensors or draws.SensorDistribution(),
-        drawn_from={
-            name: tuple(kinds[kind] for kind in stratum.kinds if kind in kinds) for name, stratum in STRATA.items()
-        },
-        margins={name: stratum.margin for name, stratum in STRATA.items()},
+        drawn_from={name: tuple(kinds[kind] for kind in tried if kind in kinds) for name, tried in _KINDS_IN.items()},
+        margins=_MARGINS,
         validation=range(10_000, 10_300),
         test=range(20_000, 20_450),
         **plant,

@@ -31,6 +31,9 @@ LENGTH_SCALE_M = 8.1 * TURBULENCE_SCALE_M
 ROTOR_RADIUS_M = TurbineParameters().blade_radius_m
 #: Distance between the turbines of a group: seven rotor diameters [m].
 TURBINE_SPACING_M = 14.0 * ROTOR_RADIUS_M
+#: Power of a turbine at nominal reserve [MW], and its available power at 1 m/s [p.u.].
+_TURBINE_MW = TurbineParameters().rated_power_mw * (1.0 - GridFormingParameters().deloading_nominal)
+_PER_CUBIC_WIND = float(aerodynamics.available_power_pu(1.0))
 #: Length of the extreme operating gust [s] (IEC 61400-1 ed. 3, section 6.3.2.2).
 GUST_DURATION_S = 10.5
 #: Drawn wind is clipped into this range, inside cut-in and cut-out [m/s].
@@ -155,23 +158,10 @@ def gust_share(mean_wind_m_s: float, n_turbines: float) -> float:
     return math.sqrt(float(group_filter(np.array(1.0 / GUST_DURATION_S), mean_wind_m_s, n_turbines)))
 
 
-def coherent_ramp(time_s: Floats, start_s: float, change_m_s: float, ramp_s: float) -> Floats:
-    """Return a change of wind that grows linearly to `change_m_s` and then stays [m/s], at instants of any shape."""
-    return change_m_s * np.clip((time_s - start_s) / ramp_s, 0.0, 1.0)
-
-
 def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_mw: float) -> float:
     """Return the share of a load that turbines at nominal reserve cover; mean wind and turbines of each WTG group."""
-    turbine_mw, per_cubic_wind = _turbine_power()
     sizes = zip(turbines, mean_winds, strict=True)
-    return sum(n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in sizes) / load_mw
-
-
-@lru_cache(maxsize=1)
-def _turbine_power() -> tuple[float, float]:
-    """Return a turbine's power at nominal reserve [MW], and its available power at 1 m/s [p.u.]."""
-    full, rated_mw = 1.0 - GridFormingParameters().deloading_nominal, TurbineParameters().rated_power_mw
-    return rated_mw * full, float(aerodynamics.available_power_pu(1.0))
+    return sum(n * _TURBINE_MW * min(_PER_CUBIC_WIND * wind**3, 1.0) for n, wind in sizes) / load_mw
 
 
 @lru_cache(maxsize=64)
