@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wtg_gym.physics import machine_parameters, network
+from wtg_gym.physics import machine_parameters, network, plant
 from wtg_gym.physics.grid import MOST_BUSES, Branch, Bus, Grid, NetworkCase
 
 Key = Hashable
@@ -335,24 +335,19 @@ def _network_case(
 
 def power_flow(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     """Return voltages (n_bus,) and what units give to each bus (n_bus,), both complex [p.u.], from a flat start."""
-    index = {number: place for place, number in enumerate(case.bus_numbers)}
-    ends = np.array([(index[b.from_bus], index[b.to_bus]) for b in case.branches], dtype=np.int64).reshape(-1, 2)
-    shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
-    loads = np.array([complex(bus.load_mw, bus.load_mvar) / case.base_mva for bus in case.buses])
-    y = network.assemble_admittance(ends, network.branch_admittances(case.branches), shunts)
+    tables = plant.plant_tables(plant.Plant(case=case, groups=()))
+    facts, buses = tables.network.facts, tables.buses
+    loads = buses["load.re"] + 1j * buses["load.im"]
     injections = -loads
-    for machine in case.machines:
-        injections[index[machine.bus]] += machine.dispatch_mw / case.base_mva
+    np.add.at(injections, tables.network.unit_bus, [m.dispatch_mw / case.base_mva for m in case.machines])
     at = network.PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
-    rows = np.zeros((len(index), 9))
+    rows = np.zeros((buses.size, 9))
     rows[:, 0], rows[:, 1] = injections.real, injections.imag
-    rows[:, 2] = [1.0 if bus.voltage_pu is None else bus.voltage_pu for bus in case.buses]
-    rows[:, 4] = [bus.voltage_pu is not None for bus in case.buses]
-    slack = index[case.slack_bus]
-    if len(index) < network.SPARSE_FROM:
-        steps = network.solve_power_flow(y, slack, rows, at)
+    rows[:, 2], rows[:, 4] = buses["voltage"], buses["holds_voltage"]
+    if facts.is_large:
+        steps = network.solve_sparse_flow(tables.bus_y, facts.slack, rows, at, tables.network.pattern)
     else:
-        steps = network.solve_sparse_flow(y, slack, rows, at, network.pattern_of(y))
+        steps = network.solve_power_flow(tables.bus_y, facts.slack, rows, at)
     if steps < 0:
         raise ValueError("its power flow has no solution from a flat start, from which every scenario starts")
     return rows[:, 7] + 1j * rows[:, 8], rows[:, 5] + 1j * rows[:, 6] + loads

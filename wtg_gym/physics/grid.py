@@ -344,10 +344,8 @@ def data_of(record: Any) -> Any:
         return [data_of(item) for item in record]
     if not dataclasses.is_dataclass(record):
         return record
-    data: dict[str, Any] = {}
-    names = {item: name for name, item in MODELS.items()}
-    if type(record) in names:
-        data["model"] = names[type(record)]
+    model = getattr(record, "MODEL", None)
+    data: dict[str, Any] = {} if model is None else {"model": model}
     for field in dataclasses.fields(record):
         value = getattr(record, field.name)
         factory: Any = field.default_factory

@@ -115,11 +115,9 @@ class Layout:
     def first_rows(self, kind: Kind, part: str) -> Whole:
         """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
         if (kind.name, part) not in self._cached_rows:
-            in_block = part in kind.rows
-            parts, first = (kind.rows, self.first) if in_block else (kind.scratch, self.first_scratch)
-            self._cached_rows[kind.name, part] = _every(
-                first[kind] + _offsets(parts)[part], n_rows_of(parts), self.counts[kind]
-            )
+            parts = kind.rows if part in kind.rows else kind.scratch
+            span = self.span(kind, scratch=parts is kind.scratch)
+            self._cached_rows[kind.name, part] = _every(span, _offsets(parts)[part])
         return self._cached_rows[kind.name, part]
 
     def seen(self, kind: Kind, label: str) -> Whole:
@@ -138,7 +136,7 @@ class Layout:
 
     def rows_of(self, kind: Kind, name: str) -> Whole:
         """Return the row of a number of each unit of a kind (n_units,)."""
-        return _every(self.first[kind] + place_of(kind, name), n_rows_of(kind.rows), self.counts[kind])
+        return _every(self.span(kind), place_of(kind, name))
 
     def env(self, name: str) -> int:
         """Return the row of an environment's number of this name."""
@@ -196,8 +194,8 @@ def put_rows(blocks: Floats, rows: Whole, values: Floats) -> None:
     blocks[block, rows.ravel(), column] = values.reshape(len(values), -1)
 
 
-def _every(first: int, stride: int, n: int) -> Whole:
-    rows: Whole = first + np.arange(n, dtype=np.int64) * stride
+def _every(span: Span, offset: int) -> Whole:
+    rows: Whole = span.first + offset + np.arange(span.n_units, dtype=np.int64) * span.n_rows
     # Everybody who asks gets the same array.
     rows.setflags(write=False)
     return rows

@@ -46,6 +46,15 @@ def _series(name: str, values: Any) -> Floats:
         raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
 
 
+def _require_within(name: str, series: Floats, dt_s: float, allowed: tuple[float, float], unit: str) -> None:
+    low, high = allowed
+    for sample in np.flatnonzero(~((series >= low) & (series <= high))):
+        raise ValueError(
+            f"{name} at t = {sample * dt_s:g} s is {series[sample]:g} {unit}, outside the allowed range "
+            f"{low:g} … {high:g} {unit}"
+        )
+
+
 def _checked_wind(values: Any, dt_s: float) -> Floats:
     wind = _series("wind_speed", values)
     if wind.ndim == 2:
@@ -53,12 +62,8 @@ def _checked_wind(values: Any, dt_s: float) -> Floats:
     if wind.ndim != 2 or wind.shape[1] < 1:
         form = "wind_speed must have shape (n_wtg, n_samples)"
         raise ValueError(f"{form}, got shape {wind.shape}; for constant wind write [[11.0], [9.0]]")
-    low, high = WIND_SPEED_RANGE
-    for group, sample in np.argwhere(~((wind >= low) & (wind <= high))):
-        raise ValueError(
-            f"wind_speed of group {group + 1} at t = {sample * dt_s:g} s is {wind[group, sample]:g} m/s, "
-            f"outside the allowed range {low:g} … {high:g} m/s"
-        )
+    for group, series in enumerate(wind, start=1):
+        _require_within(f"wind_speed of group {group}", series, dt_s, WIND_SPEED_RANGE, "m/s")
     return wind
 
 
@@ -66,12 +71,7 @@ def _checked_noise(values: Any) -> Floats:
     noise = _series("load_noise_mw", values)
     if noise.ndim != 1:
         raise ValueError(f"load_noise_mw must have shape (n_samples,), got shape {noise.shape}")
-    low, high = LOAD_CHANGE_RANGE
-    for sample in np.flatnonzero(~((noise >= low) & (noise <= high))):
-        raise ValueError(
-            f"load_noise_mw at t = {sample * SERIES_DT:g} s is {noise[sample]:g} MW, outside the allowed range "
-            f"{low:g} … {high:g} MW"
-        )
+    _require_within("load_noise_mw", noise, SERIES_DT, LOAD_CHANGE_RANGE, "MW")
     if noise.size and noise[0] != 0.0:
         raise ValueError(f"load_noise_mw must start at 0 MW, got {noise[0]:g} MW")
     return noise
@@ -99,21 +99,17 @@ class _At(Checked):
     time_s: float = required("s", "design", "instant of the event", 0.0, LONGEST_RUN_S)
 
     @property
-    def _lasts_s(self) -> float | None:
-        lasts_s: float | None = getattr(self, self.LASTS, None)
-        return lasts_s
-
-    @property
     def end_s(self) -> float:
         """When the event is over, or the line closes again [s]."""
-        return self.time_s + (self._lasts_s or 0.0)
+        return self.time_s + (getattr(self, self.LASTS, None) or 0.0)
 
     @property
     def words(self) -> str:
         """The event in words, with its units, without its instant; WTG groups count from 1."""
         circuit = getattr(self, "circuit", None)
         of_several = "" if circuit is None else f" (circuit {circuit})"
-        lasts = "" if self._lasts_s is None else f" for {self._lasts_s:g} s"
+        lasts_s = getattr(self, self.LASTS, None)
+        lasts = "" if lasts_s is None else f" for {lasts_s:g} s"
         return self.WORDS.format(self, of_several=of_several, lasts=lasts).replace("-", "−")
 
 
@@ -340,16 +336,11 @@ class Scenario(Checked):
             {"kind": _KIND_OF[type(e)], **{key: value for key, value in vars(e).items() if value is not None}}
             for e in self.events
         ]
-        # Older scenarios know neither sensors nor commitment nor margin: their form, and its hash, stay.
-        if self.committed == 1.0:
-            del data["committed"]
-        if self.reserve_margin is None:
-            del data["reserve_margin"]
-        if self.sensors is None:
-            del data["sensors"]
-        else:
+        if self.sensors is not None:
             data["sensors"] = {**vars(self.sensors), "wind_bias": list(self.sensors.wind_bias)}
-        return data
+        # Older scenarios know neither sensors nor commitment nor margin: their form, and its hash, stay.
+        defaults = {"committed": 1.0, "reserve_margin": None, "sensors": None}
+        return {key: value for key, value in data.items() if key not in defaults or value != defaults[key]}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "Scenario":

@@ -358,8 +358,6 @@ class Simulator:
         index = np.array(envs, dtype=np.int64).reshape(-1)
         if places is None:
             places = np.arange(len(prepared.rows))
-        if index.size != places.size:
-            raise ValueError(f"a prepared run is needed for each of {index.size} environments, got {places.size}")
         self.blocks[index // self.width, :, index % self.width] = prepared.rows[places]
         wind, noise, events = self.data
         wind[index], noise[index] = prepared.data.wind[places], prepared.data.noise[places]
@@ -460,16 +458,8 @@ class Simulator:
         return self.blocks.copy(), _copy(self.data)
 
     def restore(self, snapshot: tuple[Floats, BatchData]) -> None:
-        """Go back to a :meth:`snapshot`; it can be used again.
-
-        A ValueError says that the snapshot is of a simulator of another size; nothing has changed then.
-        """
+        """Go back to a :meth:`snapshot` of a simulator of the same size; it can be used again."""
         blocks, data = snapshot
-        if blocks.shape != self.blocks.shape or data.wind.shape != self.data.wind.shape:
-            raise ValueError(
-                f"the snapshot is of another simulator: it holds {data.wind.shape[:2]} environments and groups over "
-                f"{data.wind.shape[2] - 1} intervals, this one {self.data.wind.shape[:2]} over {self.n_intervals}"
-            )
         self.blocks[:] = blocks
         self.data = _copy(data)
 
