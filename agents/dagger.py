@@ -150,7 +150,7 @@ def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
     batch = EnvBatch(environment, settings.n_envs)
     planner = Planner(environment, settings.n_envs, h)
     # Last actions come after what is measured. A policy that sees them learns to repeat them.
-    policy = GradientPolicy(batch.n_local, batch.n_action // batch.n_wtg, h.hidden, h.lstm)
+    policy = GradientPolicy(environment.task.n_local, batch.n_action // batch.n_wtg, h.hidden, h.lstm)
     policy.per_group = True
     learner = DaggerLearner(policy)
 

@@ -53,7 +53,6 @@ def export(
     note(f"wrote {output}")
 
 
-#: Runs the command with some words, by default those of the command line, and returns its exit code.
 main = functools.partial(run_command, export, "agents.export", "begin anew")
 
 if __name__ == "__main__":

@@ -311,7 +311,6 @@ def command(
     print(evaluate([entry, strategy], suite, "validation", seeds=seeds, batch=len(seeds)))
 
 
-#: Runs the command with some words, by default those of the command line, and returns its exit code.
 main = functools.partial(runs.run_command, command, "agents.planner", "nothing was written")
 
 if __name__ == "__main__":

@@ -415,7 +415,7 @@ def note(text: str) -> None:
 def run_command(
     command: Callable[..., None], name: str, after_interrupt: str, argv: Sequence[str] | None = None
 ) -> int:
-    """Run the command `python -m NAME` and return its exit code: 0 fine, 2 bad input, 130 interrupted."""
+    """Run `python -m NAME` with words, None for the command line's; return 0 fine, 2 bad input or 130 interrupted."""
     words = sys.argv[1:] if argv is None else list(argv)
     app = App(name=f"python -m {name}", help_format="plaintext", version_flags=(), suppress_keyboard_interrupt=False)
     app.default(command)

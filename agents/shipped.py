@@ -115,7 +115,6 @@ def command(*runs: Path) -> None:
     note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
 
 
-#: Runs the command with some words, by default those of the command line, and returns its exit code.
 main = functools.partial(run_command, command, "agents.shipped", "run it again")
 
 if __name__ == "__main__":

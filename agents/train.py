@@ -210,7 +210,6 @@ def command(
     begin_or_go_on(options, TRAINED, settings, train)
 
 
-#: Runs the command with some words, by default those of the command line, and returns its exit code.
 main = functools.partial(run_command, command, "agents.train", "go on with --resume")
 
 if __name__ == "__main__":
