@@ -62,7 +62,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         self.possible_agents = [f"wtg{group}" for group in range(batch.n_wtg)]
         self.agents: list[str] = []
         n_modes = sum(ACTION_MODES[settings.action_mode])
-        width = batch.n_local + n_modes
+        width = settings.task.n_local + n_modes
         # Each its own, so that each can be seeded by itself.
         self.observation_spaces, self.action_spaces = (
             ByName("agent", {name: gym.spaces.Box(-bound, bound, (n,)) for name in self.possible_agents})

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.envs.interface import Observation
 from wtg_gym.extras import install_advice
 from wtg_gym.policies.entry import learned_in
 from wtg_gym.signals import undivided
@@ -21,7 +22,6 @@ try:
 except ImportError as error:
     raise ImportError(f"wtg_gym.sb3 needs Stable-Baselines3; {install_advice('train')}") from error
 
-Observations = npt.NDArray[np.float32]
 Info = dict[str, Any]
 
 
@@ -54,7 +54,7 @@ class SB3VecEnv(VecEnv):
         self.metadata["render_fps"] = env.metadata["render_fps"]
 
     @undivided
-    def reset(self) -> Observations:
+    def reset(self) -> Observation:
         """Start an episode in every environment, with the seeds set before, which are used once.
 
         It returns the observations (num_envs, n_observation). A ValueError says that a seed is negative, or that
@@ -74,7 +74,7 @@ class SB3VecEnv(VecEnv):
         self._actions = actions
 
     @undivided
-    def step_wait(self) -> tuple[Observations, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Info]]:
+    def step_wait(self) -> tuple[Observation, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Info]]:
         """Hold the actions for one control step in every environment.
 
         It returns observations (num_envs, n_observation) float32, rewards (num_envs,) float32, dones (num_envs,) and

@@ -77,8 +77,6 @@ class EnvBatch:
         self.observation_names = [entry.name for entry in settings.task.entries(settings.choices)]
         self.info_names = (*observation.INFO_KEYS, *(observation.LocalInfo._fields if plant.extended else ()))
         self.n_observation = len(self.observation_names)
-        #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
-        self.n_local = settings.task.n_local
         self.simulator = Simulator(
             plant,
             num_envs=num_envs,

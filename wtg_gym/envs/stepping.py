@@ -24,7 +24,6 @@ from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK
 from wtg_gym.tasks.observation import INFO, INFO_KEYS, Info, LocalInfo
 from wtg_gym.tasks.task import Choices
 
-Observations = npt.NDArray[np.float32]
 N_INFO = len(INFO_KEYS) + len(LocalInfo._fields)
 #: Places in `info` of the terms of the cost, and of the violated constraint.
 _N_TERMS = len(COST_TERMS)
@@ -36,7 +35,7 @@ _act, _charge, _start_sensors, _measure, _observe, _end = (Routine(program).call
 class Outputs(NamedTuple):
     """Outputs of a step, one row per environment."""
 
-    observations: Observations  # (num_envs, n_observation)
+    observations: npt.NDArray[np.float32]  # (num_envs, n_observation)
     rewards: Floats  # (num_envs,), 0 for an environment that had ended
     infos: Floats  # (num_envs, N_INFO)
     terminated: npt.NDArray[np.bool_]  # (num_envs,)

@@ -351,7 +351,7 @@ NO_TASK = TaskUnits()
 
 def _nested(n_outer: int, n_inner: int) -> tuple[Whole, Whole]:
     """Return the outer and the inner number of each pair, inner ones fastest (n_outer · n_inner,)."""
-    outer, inner = np.divmod(np.arange(n_outer * n_inner), max(n_inner, 1))
+    outer, inner = np.indices((n_outer, n_inner)).reshape(2, -1)
     return outer, inner
 
 

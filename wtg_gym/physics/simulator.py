@@ -373,10 +373,8 @@ class Simulator:
             )
         wind, target = scenario.wind_speed, data.wind[env]
         if abs(scenario.wind_dt_s - dt) < 1e-12:
-            m = min(wind.shape[1], n + 1)
-            target[:, :m] = wind[:, :m]
-            if m <= n:
-                target[:, m:] = wind[:, m - 1 : m]
+            # The last sample holds.
+            wind.take(np.arange(n + 1), axis=1, out=target, mode="clip")
         else:
             instants, times_s = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
             for j in range(wind.shape[0]):

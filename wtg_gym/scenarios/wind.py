@@ -97,7 +97,6 @@ def group_filter(frequency_hz: Floats, mean_wind_m_s: float, n_turbines: float) 
     return alone + (1.0 - alone) * np.exp(-TURBINE_SPACING_M * coherence_decay(frequency_hz, mean_wind_m_s))
 
 
-@lru_cache(maxsize=64)
 def period_length(n_samples: int) -> int:
     """Return the number of samples of the period that a synthesised series is cut from.
 
