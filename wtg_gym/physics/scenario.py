@@ -47,6 +47,7 @@ def _series(name: str, values: Any) -> Floats:
 
 
 def _require_within(name: str, series: Floats, dt_s: float, allowed: tuple[float, float], unit: str) -> None:
+    """Refuse a series with a value outside the allowed range; the first one is named with its instant."""
     low, high = allowed
     for sample in np.flatnonzero(~((series >= low) & (series <= high))):
         raise ValueError(

@@ -269,7 +269,7 @@ def suite_of_strata(
         task=V1,
         sensors=sensors or draws.SensorDistribution(),
         drawn_from={name: tuple(kinds[kind] for kind in tried if kind in kinds) for name, tried in _KINDS_IN.items()},
-        margins=_MARGINS,
+        margins=dict(_MARGINS),
         validation=range(10_000, 10_300),
         test=range(20_000, 20_450),
         **plant,
