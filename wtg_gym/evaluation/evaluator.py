@@ -94,10 +94,7 @@ def evaluate(
     check_size((entry.name for entry in competitors), len(chosen))
     shared, of_suite = shared_settings(settings), settings.resolved_suite
     store = PartialStore(partial, [of_suite.name, of_suite.hash, split, shared])
-    parts: list[_Part] = []
-    for entry in competitors:
-        size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
-        parts += [(entry, chosen[first : first + size]) for first in range(0, len(chosen), size)]
+    parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
     episodes, failures = _episodes(store, parts, settings, n_threads, workers, on_progress, needed)
     return Results(
@@ -113,6 +110,12 @@ def evaluate(
         episodes=tuple(episodes),
         parts=store,
     ).without(failures)
+
+
+def _parts(entry: Entry, seeds: list[int], batch: int) -> list[_Part]:
+    """Return the batches that an entry is played in."""
+    size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
+    return [(entry, seeds[first : first + size]) for first in range(0, len(seeds), size)]
 
 
 def _with_references(specs: Entries, suite: Suite) -> list[Entry]:

@@ -1,5 +1,6 @@
 """Gradients compared with differences of plays: what a user asks before trusting them in a new setting."""
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -48,6 +49,11 @@ class Differences(tuple[Difference, ...]):
         return markdown_table(header, rows, right=range(1, len(header)))
 
 
+def _compared(base: Floats, name: str, slope: Floats, up: Floats, down: Floats, h: float, h_below: float) -> Difference:
+    below = (base - down) / h_below if h_below > 0.0 else np.full_like(base, math.nan)
+    return Difference(name, slope, (up - down) / (h + h_below), below, (up - base) / h)
+
+
 def check_by_differences(
     tape: Tape,
     scenarios: Sequence[Scenario],
@@ -90,12 +96,7 @@ def check_by_differences(
         costs: Floats = np.sum([tape.step(each)[1] @ weight for each in actions], axis=0)
         return costs
 
-    base = cost()
-
-    def compared(name: str, slope: Floats, up: Floats, down: Floats, h: float, h_below: float) -> Difference:
-        below = (base - down) / h_below if h_below > 0.0 else np.full_like(base, math.nan)
-        return Difference(name, slope, (up - down) / (h + h_below), below, (up - base) / h)
-
+    compared = functools.partial(_compared, cost())
     along = np.einsum("kla,kla->l", gradient.actions, delta)
     up, down = (cost(actions + h * delta) for h in (step, -step))
     rows = [compared("actions", along, up, down, step, step)]

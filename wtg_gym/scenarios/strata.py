@@ -213,6 +213,17 @@ def _records(layers: Sequence[draws.Changes], size: float) -> tuple[draws.Record
     return tuple(record(**fields) for record, fields in values.items())
 
 
+def _where(places: Places) -> dict[str, draws.Changes]:
+    """Return where each kind of event strikes that needs a place."""
+    return {
+        "governor": {draws.GovernorLosses: {"buses": places.governor_buses}},
+        "machine": {draws.MachineOutages: {"buses": places.generator_buses}},
+        "group": {draws.GroupTrips: {"probability": float(places.group_trips)}},
+        "fault": {draws.Faults: {"lines": places.fault_lines}},
+        "island": {draws.Islandings: {"line_sets": places.islandings}},
+    }
+
+
 def suite_of_strata(
     name: str,
     description: str,
@@ -243,15 +254,7 @@ def suite_of_strata(
         draws.MachineOutages: {"buses": places.machine_buses},
         draws.UnitCommitment: {"generator_mva": governed_mva(settings), "constant_mw": constant_mw(settings)},
     }
-    # Where each kind of event strikes that needs a place.
-    where: dict[str, draws.Changes] = {
-        "governor": {draws.GovernorLosses: {"buses": places.governor_buses}},
-        "machine": {draws.MachineOutages: {"buses": places.generator_buses}},
-        "group": {draws.GroupTrips: {"probability": float(places.group_trips)}},
-        "fault": {draws.Faults: {"lines": places.fault_lines}},
-        "island": {draws.Islandings: {"line_sets": places.islandings}},
-    }
-    kinds = {}
+    kinds, where = {}, _where(places)
     for kind, of_kind in KINDS.items():
         of_place = where.get(kind, {})
         if all(place for fields in of_place.values() for place in fields.values()):

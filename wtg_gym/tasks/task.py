@@ -156,13 +156,12 @@ class Task:
         """Return the task's kinds of unit and programs, as a simulator takes them."""
         plant, sensors = choices.plant, int(self.has_sensors)
         n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), episode.rocof_window(plant.control_dt)
-        # As many measurements as the longest delay needs.
+        # As many as the longest delay needs.
         n_kept = math.ceil(DELAY_MAX_S / plant.control_dt - 1e-9) + 1
         kept = np.arange(n_wtg * sensors * n_kept)
         older, newer = (kept.reshape(-1, n_kept)[:, columns].ravel() for columns in (slice(-1), slice(1, None)))
         modulated = dict(zip(("modulates k", "modulates tau"), episode.ACTION_MODES[choices.action_mode], strict=True))
-        conditions = {**modulated, "privileged": choices.privileged}
-        conditions["observes exactly"] = choices.privileged or not self.has_sensors
+        exactly = {"privileged": choices.privileged, "observes exactly": choices.privileged or not self.has_sensors}
         act, charge, start_sensors, measure, observe, end = _routines_of(self.programs)
         return TaskUnits(
             n_units={
@@ -211,7 +210,7 @@ class Task:
                 (SENSED, "group_number"): range(n_wtg),
                 (KEPT_SHIFTS, "age"): n_kept - 1 - (older % n_kept),
             },
-            has=[name for name, holds in conditions.items() if holds],
+            has=[name for name, holds in {**modulated, **exactly}.items() if holds],
         )
 
     def _constants(self, choices: Choices) -> episode.TaskConstants:
