@@ -39,9 +39,11 @@ def against_law(results: Results, name: str) -> tuple[str, bool]:
     suite, runs = get_suite(SUITE), results.runs
     law = max((each for each in LAWS if each != "distilled-law"), key=lambda each: results.scores[each].value)
     lead = results.scores[name].value - results.scores[law].value
+    strata = {row.name: row.strata for row in results.ranking}
+    leads = ", ".join(f"{at} {strata[name][at].value - strata[law][at].value:+.1f}" for at in suite.strata)
     short = [suite.stratum(seed) == "short" for seed in results.seeds]
     bad, of_law = (100.0 * lost_or_beyond(runs[each], suite.nominal_hz)[:, short].mean() for each in (name, law))
-    text = f"{name} {lead:+.1f} over {law}, {bad:.0f} % bad instead of {of_law:.0f} %"
+    text = f"{name} {lead:+.1f} over {law} ({leads}), {bad:.0f} % bad instead of {of_law:.0f} %"
     return text, bool(lead >= 10.0 and bad <= 0.8 * of_law)
 
 
