@@ -17,6 +17,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.files import markdown_table, update_between_markers
@@ -65,11 +66,11 @@ def vector(name, n_envs):
 
 
 def between_resets(grid, n_envs):
-    """Step a batch of v1 on another grid by 0.1 s, without the reference's play, in episodes that do not end here."""
-    envs = GFMWTGVectorEnv(n_envs, grid=grid, control_dt=0.1, reward="cost", duration_s=300.0)
-    envs.reset(seed=0)
-    actions = np.zeros(envs.action_space.shape, dtype=np.float32)
-    return lambda: envs.step(actions), n_envs, 0.1
+    """Step a batch of v1 on another grid by 0.1 s, with events; nothing is drawn, prepared or compared meanwhile."""
+    batch = EnvBatch(EnvSettings(grid=grid, control_dt=0.1, reward="cost", duration_s=300.0), n_envs)
+    batch.start(range(n_envs), batch.scenarios([batch.suite.validation[i % 300] for i in range(n_envs)]))
+    actions = np.zeros((n_envs, batch.n_action))
+    return lambda: batch.step(actions), n_envs, 0.1
 
 
 def gradients(version, num_envs):
