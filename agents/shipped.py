@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 RECORDS = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
 PICTURE = PAGE.parent / "images" / "training"
+_OUTPUT = re.compile(r"(?<= --output )\S+")
 #: What differs between the commands of several seeds.
 _OF_A_SEED = ((re.compile(r" --(seed|output) \S+"), ""), (re.compile(r"( --start \S+-)\d+"), r"\1SEED"))
 _COLUMNS = ("policy", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
@@ -32,8 +33,10 @@ def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
     for best in folders(run_folder / BEST):
         digest = files.sha256((best / POLICY_FILE).read_bytes())
         if digest in shipped:
-            return shipped[digest], {
-                "command": run.provenance["command"],
+            name = shipped[digest]
+            return name, {
+                # Where the run was written is a path of one machine.
+                "command": _OUTPUT.sub(f"runs/{name}", run.provenance["command"]),
                 "git_commit": run.provenance["git_commit"],
                 "policy_sha256": digest,
                 "steps": int(best.name),
