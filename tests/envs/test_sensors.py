@@ -14,7 +14,7 @@ from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.systems.elementary import noise
-from wtg_gym.systems.programs import build_table, in_one_table
+from wtg_gym.systems.programs import link, numbered
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, system
 from wtg_gym.tasks.observation import WtgObservation
@@ -146,14 +146,14 @@ MEASUREMENT = sensing.Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, pow
 
 
 DRAWS = Kind(name="draws", rows={"seed": float, "step": float, "channel": float}, scratch={"number": float})
-(PROGRAM,) = in_one_table(DRAW=(system(DRAWS, "number")(lambda seed, step, channel: noise(seed, step, channel)),))
+(PROGRAM,) = numbered(DRAW=(system(DRAWS, "number")(lambda seed, step, channel: noise(seed, step, channel)),))
 ROUTINE = Routine(PROGRAM)
 
 
 def numbers_of(seeds: np.ndarray, steps: np.ndarray, channels: np.ndarray) -> np.ndarray:
     """The machine code's numbers of pairs of seed and step (n,), for each channel (n, n_channels)."""
     layout = Layout({DRAWS: channels.size}, {})
-    tables = build_table((PROGRAM,), layout)
+    code = link((PROGRAM,), layout)
     block, scratch = np.zeros((layout.n_rows, 16)), np.zeros((layout.n_scratch, 16))
     block[layout.first_rows(DRAWS, "channel")] = channels[:, np.newaxis]
     result = []
@@ -161,7 +161,7 @@ def numbers_of(seeds: np.ndarray, steps: np.ndarray, channels: np.ndarray) -> np
         n = min(16, seeds.size - first)
         block[layout.first_rows(DRAWS, "seed"), :n] = seeds[first : first + n]
         block[layout.first_rows(DRAWS, "step"), :n] = steps[first : first + n]
-        ROUTINE((block, scratch), tables)
+        ROUTINE((block, scratch), code)
         result.append(scratch[layout.first_rows(DRAWS, "number"), :n].T.copy())
     return np.concatenate(result)
 

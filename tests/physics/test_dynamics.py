@@ -21,7 +21,7 @@ from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
 from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.physics.units import PAIRS, UNITS, TripCause
 from wtg_gym.physics.wtg_unit import EXTENSIONS
-from wtg_gym.systems.programs import in_one_table
+from wtg_gym.systems.programs import numbered
 from wtg_gym.systems.routines import Routine
 
 LAW = LAWS["coordinated-piecewise"]
@@ -33,7 +33,7 @@ FAR = parameters.ConverterLimitParameters(
 NO_PITCH = parameters.PitchParameters(captured_power_limit_pu=10.0)
 #: With stages of shedding, as the other extended plants have, so that it is compiled already.
 UNLIMITED = Plant(limits=FAR, shedding=NO_SHEDDING, pitch=NO_PITCH)
-CURRENTS = in_one_table(CURRENTS=(*FREE_CURRENTS, *LIMITS))
+CURRENTS = numbered(CURRENTS=(*FREE_CURRENTS, *LIMITS))
 _FIND_CURRENTS = Routine(CURRENTS[0])
 LIMIT = 1e-8
 TOO_FAST = [
@@ -333,7 +333,7 @@ def test_limited_currents_solve_their_equations(groups):
         for kind, part, values in ((UNITS, "voltage", voltage), (PAIRS, "admittance", admittance.ravel())):
             first = layout.first_rows(kind, part)
             scratch[first, 0], scratch[first + 1, 0] = values.real, values.imag
-        _FIND_CURRENTS((np.zeros((layout.n_rows, 1)), scratch), network.tables)
+        _FIND_CURRENTS((np.zeros((layout.n_rows, 1)), scratch), network.code)
         first = layout.first_rows(UNITS, "current")
         current = scratch[first, 0] + 1j * scratch[first + 1, 0]
         reactance = scratch[layout.first_rows(EXTENSIONS, "reactance"), 0]

@@ -27,8 +27,8 @@ from wtg_gym.physics.rotor_table import Grid, read_rotor_table, tabulated_power_
 from wtg_gym.physics.units import ControlJoining, Joining
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
-from wtg_gym.systems.programs import Each, Here, Product, Program, Repeat, When, build_table, in_one_table
-from wtg_gym.systems.routines import Routine, code_of
+from wtg_gym.systems.programs import Each, Here, Product, Program, Repeat, When, link, numbered
+from wtg_gym.systems.routines import Routine, addresses_of
 from wtg_gym.systems.systems import Kind, System, system
 from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 from wtg_gym.tasks import V0, V1
@@ -183,7 +183,7 @@ def test_what_has_no_meaning_or_several_is_refused(make, sentence):
 def ran(one: System, layout: Layout, block: list[float]) -> tuple[list[float], list[float]]:
     program = Program("RUN", (one,), 0)
     arrays = np.array([block]).T.copy(), np.zeros((layout.n_scratch, 1))
-    Routine(program)(arrays, build_table((program,), layout))
+    Routine(program)(arrays, link((program,), layout))
     return arrays[0].ravel().tolist(), arrays[1].ravel().tolist()
 
 
@@ -250,8 +250,8 @@ ROTORS = Kind(
 )
 ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
 SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
-(PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
-ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), Layout({SUMS: 1}, {}))
+(PROGRAM,) = numbered(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
+ROUTINE, CODE = Routine(PROGRAM), link((PROGRAM,), Layout({SUMS: 1}, {}))
 
 
 def choice(a: float, b: float) -> float:
@@ -276,7 +276,7 @@ FUNCTIONS = {
 }
 UNITS = Kind(name="units", rows={"a": float, "b": float}, scratch={name: float for name in FUNCTIONS})
 SYSTEMS = tuple(system(UNITS, name)(function) for name, function in FUNCTIONS.items())
-FORWARD, BOTH_WAYS = in_one_table(FORWARD=SYSTEMS, BOTH_WAYS=SYSTEMS)
+FORWARD, BOTH_WAYS = numbered(FORWARD=SYSTEMS, BOTH_WAYS=SYSTEMS)
 POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
 
 
@@ -294,10 +294,10 @@ class PlantMap(Layout):
 @pytest.mark.parametrize("width", [1, 16])
 def test_every_unit_of_every_env_has_what_the_function_says(width):
     layout = PlantMap({UNITS: N_UNITS}, {})
-    tables = build_table((FORWARD, BOTH_WAYS), layout)
+    code = link((FORWARD, BOTH_WAYS), layout)
     rng = np.random.default_rng(0)
     block, scratch = rng.uniform(-2.0, 3.0, (layout.n_rows, width)), np.zeros((layout.n_scratch, width))
-    Routine(FORWARD)((block, scratch), tables)
+    Routine(FORWARD)((block, scratch), code)
     for name, function in FUNCTIONS.items():
         rows = scratch[layout.first_rows(UNITS, name)]
         with np.errstate(all="ignore"):
@@ -309,13 +309,13 @@ def test_every_unit_of_every_env_has_what_the_function_says(width):
 @pytest.mark.parametrize("point", POINTS)
 def test_what_comes_back_are_the_slopes(point):
     layout, h = PlantMap({UNITS: 1}, {}), 1e-6
-    tables = build_table((FORWARD, BOTH_WAYS), layout, (BOTH_WAYS,))
+    code = link((FORWARD, BOTH_WAYS), layout, (BOTH_WAYS,))
     tape, scratch = np.zeros((BOTH_WAYS.tape_rows(layout), 16)), np.zeros((layout.n_scratch, 16))
-    Routine(BOTH_WAYS, TapedWriter)((np.repeat([point], 16, axis=0).T.copy(), scratch, tape), tables)
+    Routine(BOTH_WAYS, TapedWriter)((np.repeat([point], 16, axis=0).T.copy(), scratch, tape), code)
     for name, function in FUNCTIONS.items():
         bars, given = np.zeros((2, 16)), np.zeros((layout.n_scratch, 16))
         given[layout.first_rows(UNITS, name)] = 2.0
-        Routine(BOTH_WAYS, BackWithoutConstants)((bars, given, tape, scratch, bars), tables)
+        Routine(BOTH_WAYS, BackWithoutConstants)((bars, given, tape, scratch, bars), code)
         # What was written is gone with what it replaced.
         assert not given.any()
         (a, b) = point
@@ -335,13 +335,13 @@ def coefficient_of(ratio: float, pitch_deg: float, cells: ex.Cells, grid: Grid) 
 #: Tip-speed ratio and pitch angle [deg] within the table, below its first ratio, and beyond its last one.
 @pytest.mark.parametrize(("ratio", "pitch_deg"), [(7.3, 0.2), (5.1, 11.7), (1.2, 3.0), (40.0, 4.4)])
 def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio, pitch_deg):
-    (program,) = in_one_table(TABLE=(coefficient_of,))
+    (program,) = numbered(TABLE=(coefficient_of,))
     layout = PlantMap({ROTORS: 1}, {})
-    tables = build_table((program,), layout, (program,))
+    code = link((program,), layout, (program,))
     block, scratch, tape = np.array([[ratio], [pitch_deg]]), np.zeros((1, 1)), np.zeros((program.tape_rows(layout), 1))
-    Routine(program, TapedWriter)((block, scratch, tape), tables)
+    Routine(program, TapedWriter)((block, scratch, tape), code)
     bars, value = np.zeros((2, 1)), scratch[0, 0]
-    Routine(program, BackWithoutConstants)((bars, np.ones((1, 1)), tape, scratch, bars), tables)
+    Routine(program, BackWithoutConstants)((bars, np.ones((1, 1)), tape, scratch, bars), code)
     grid, cells = read_rotor_table(ROTOR_TABLE).surface()
     h, function = 1e-6, tabulated_power_coefficient
     ends = [function(ratio + h * a, pitch_deg + h * b, cells, grid) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
@@ -367,18 +367,18 @@ def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own():
     assert len(set(digests)) == len(digests) == 12
 
 
-def test_branches_on_traced_numbers_arrays_of_another_width_and_tables_without_the_code_are_refused():
+def test_branches_on_traced_numbers_arrays_of_another_width_and_code_without_addresses_are_refused():
     with pytest.raises(TypeError, match="select"):
         bool(ex.symbol("a") > 1.0)
     layout = PlantMap({UNITS: 1}, {})
-    tables, routine = build_table((FORWARD, BOTH_WAYS), layout), Routine(FORWARD)
+    code, routine = link((FORWARD, BOTH_WAYS), layout), Routine(FORWARD)
     with pytest.raises(ValueError, match="1 or 16 columns"):
-        routine((np.zeros((2, 4)), np.zeros((layout.n_scratch, 4))), tables)
-    linked = tables._replace(code=code_of((FORWARD, BOTH_WAYS), {16: (routine,)}, {}))
+        routine((np.zeros((2, 4)), np.zeros((layout.n_scratch, 4))), code)
+    linked = code._replace(addresses=addresses_of((FORWARD, BOTH_WAYS), {16: (routine,)}, {}))
     with pytest.raises(ValueError, match="no code of 'FORWARD' for blocks of 1"):
         routine((np.zeros((2, 1)), np.zeros((layout.n_scratch, 1))), linked)
     # Addresses mean nothing in another process.
-    assert pickle.loads(pickle.dumps(linked)).code.size == 0
+    assert pickle.loads(pickle.dumps(linked)).addresses.size == 0
 
 
 def exact_multiply_add(a: float, b: float, c: float) -> float:
@@ -399,7 +399,7 @@ def exact_multiply_add(a: float, b: float, c: float) -> float:
 @example(1.0 + 2.0**-30, 1.0 + 2.0**-30, -1.0 - 2.0**-29)
 def test_compiled_multiply_add_has_the_bits_of_the_exact_one(a, b, c):
     block = np.array([[a], [b], [c], [0.0]])
-    ROUTINE((block, np.zeros((0, 1))), TABLES)
+    ROUTINE((block, np.zeros((0, 1))), CODE)
     assert repr(float(block[3, 0])) == repr(fma(a, b, c)) == repr(exact_multiply_add(a, b, c))
 
 

@@ -163,8 +163,8 @@ class Panel(NamedTuple):
     limits: tuple[float, ...] = ()  # beyond which a run fails, or that converters keep; with a coloured line
 
 
-def panels_of(plant: Plant, *, limited: bool) -> tuple[Panel, ...]:
-    """Return the panels, from top to bottom, first the left column; with the plant's limits where `limited`."""
+def panels_of(plant: Plant) -> tuple[Panel, ...]:
+    """Return the panels, from top to bottom, first the left column; with limits where converters have some."""
     nominal, law, protection = plant.case.frequency_hz, get_law(REFERENCE_LAW), plant.protection
     ratios = tracking_point().tip_speed_ratio, tracking_point(plant.control.deloading_limit).tip_speed_ratio
     free = (0.9 * ratios[0], 1.1 * ratios[1])
@@ -184,7 +184,7 @@ def panels_of(plant: Plant, *, limited: bool) -> tuple[Panel, ...]:
         Panel("tau", "τ [s]", ((0.0, 3.4), (0.0, 14.0), (0.0, 60.0))),
         Panel("wind", "wind speed [m/s]", ((4.0, 16.0), (2.0, 26.0))),
     )
-    return panels if limited else tuple(panel._replace(limits=()) for panel in panels)
+    return panels if plant.limits else tuple(panel._replace(limits=()) for panel in panels)
 
 
 class Scene(NamedTuple):
@@ -342,7 +342,7 @@ class BatchFrames:
     def __init__(self, batch: EnvBatch, *, opens_window: bool, fps: int) -> None:
         self._batch, self._plant = batch, batch.settings.resolved_plant
         self._tip_speeds = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in self._plant.turbines])
-        self._panels = panels_of(self._plant, limited=batch.suite.task.version != "v0")
+        self._panels = panels_of(self._plant)
         #: By quantity, (num_envs, n_steps, 1 or n_wtg); not a number where there is none.
         self._samples: dict[str, npt.NDArray[np.float32]] = {}
         self._painters = [FramePainter() for _ in range(batch.num_envs)]

@@ -5,6 +5,7 @@ those of a :class:`~wtg_gym.tasks.task.Task`.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numba
@@ -15,7 +16,6 @@ from numba.experimental import structref
 from wtg_gym.physics.integration import advance_interval
 from wtg_gym.physics.layout import BatchData, Floats, Layout, Network, Whole
 from wtg_gym.systems.compiled import compiled, internal
-from wtg_gym.systems.programs import NONE
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import count
 from wtg_gym.tasks import V1, Task
@@ -30,6 +30,48 @@ _N_TERMS = len(COST_TERMS)
 _FIRST_TERM, _CONSTRAINT = len(Info._fields), Info._fields.index("cost")
 # Every task has its lists at the same places.
 _act, _charge, _start_sensors, _measure, _observe, _end = (Routine(program).call for program in V1.programs)
+
+
+class Notes(NamedTuple):
+    """Rows of a tape where the programs of an interval begin their notes."""
+
+    acted: int = 0
+    charged: int = 0
+    measured: int = 0
+    observed: int = 0
+
+
+_NO_NOTES = Notes()
+
+
+def task_interval_of(
+    act: Callable[..., None],
+    advance: Callable[..., None],
+    charge: Callable[..., None],
+    measure: Callable[..., None],
+    observe: Callable[..., None],
+) -> Callable[[tuple[Floats, ...], int, Network, BatchData, Notes, Any], None]:
+    """Return a function that plays an interval of a task in the environments of a block; this alone knows the order.
+
+    `advance` is :func:`~wtg_gym.physics.integration.advance_interval` or its replay, the others are programs. The
+    function takes block and scratch, with a tape where the programs have one, the row of the block's first environment
+    in `data`, and what `advance` needs of a tape.
+    """
+
+    @internal
+    def play(
+        arrays: tuple[Floats, ...], first_env: int, network: Network, data: BatchData, notes: Notes, tape: Any
+    ) -> None:
+        act(arrays, network.code, (), notes.acted)
+        advance(arrays[0], arrays[1], first_env, network, data, tape)
+        charge(arrays, network.code, (), notes.charged)
+        measure(arrays, network.code, (), notes.measured)
+        observe(arrays, network.code, (), notes.observed)
+
+    return play
+
+
+_play = task_interval_of(_act, advance_interval, _charge, _measure, _observe)
 
 
 class Outputs(NamedTuple):
@@ -207,26 +249,22 @@ def _step_blocks(
     blocks: Floats, scratch: Floats, of_all: Any, actions: Floats, first: int, last: int, starts: bool
 ) -> int:
     network, data, task, outputs = of_all
-    width, tables = blocks.shape[2], network.tables
+    width, code = blocks.shape[2], network.code
     for b in range(first, last):
         block, arrays = blocks[b], (blocks[b], scratch)
         if starts:
             for x in range(width):
                 scratch[task.was_active, x] = 1.0
-            _start_sensors(arrays, tables, NONE)
-            _observe(arrays, tables, NONE)
+            _start_sensors(arrays, code)
+            _observe(arrays, code)
             _report(block, scratch, b * width, task, outputs, 0)
             continue
         invalid = read_actions(scratch, actions, b * width, task)
         if invalid >= 0:
             return invalid
         for interval in range(task.n_intervals):
-            _act(arrays, tables, NONE)
-            advance_interval(block, scratch, b * width, network, data, None)
-            _charge(arrays, tables, NONE)
-            _measure(arrays, tables, NONE)
-            _observe(arrays, tables, NONE)
-            _end(arrays, tables, NONE)
+            _play(arrays, b * width, network, data, _NO_NOTES, None)
+            _end(arrays, code)
             _report(block, scratch, b * width, task, outputs, interval)
         if task.points > 0.0:
             _score(block, b * width, network.facts.n_substeps * task.n_intervals, task, outputs)

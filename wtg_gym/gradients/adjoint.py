@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.stepping import TaskData, read_actions
+from wtg_gym.envs.stepping import Notes, TaskData, read_actions, task_interval_of
 from wtg_gym.physics import integration
 from wtg_gym.physics import step as of_step
 from wtg_gym.physics.integration import N_STAGES, interval_of, stage_scalars, strike
@@ -22,7 +22,7 @@ from wtg_gym.physics.layout import BatchData, Floats, Layout, Network, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.compiled import compiled, internal
-from wtg_gym.systems.programs import NONE, MemoryMap, Program, in_one_table, unconditional
+from wtg_gym.systems.programs import MemoryMap, Program, numbered, unconditional
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
@@ -37,7 +37,7 @@ _SETTLED = 1e-13
 @functools.cache
 def programs_of(task: Task) -> tuple[Program, ...]:
     """Return the programs of a task's step that are taped, and those it is replayed with."""
-    return in_one_table(
+    return numbered(
         *integration.PROGRAMS,
         *task.programs,
         ACTED=task.act,
@@ -68,9 +68,9 @@ _FORWARD = {
 _act, _flow, _sweep_once, _motion, _rates, _moved, _charge, _measure, _observe, _hold, _watch = (
     _FORWARD[program.name].call for program in _PROGRAMS
 )
-#: The ways back stand at one place, with cotangents of constants or without.
+#: The ways back are one variant, with cotangents of constants or without.
 _WITHOUT, _WITH = (
-    tuple(Routine(program, writer, place=1) for program in _TAPED) for writer in (BackWithoutConstants, BackWriter)
+    tuple(Routine(program, writer, variant=1) for program in _TAPED) for writer in (BackWithoutConstants, BackWriter)
 )
 _act_back, _flow_back, _sweep_back, _motion_back, _rates_back, *_ending_back = (routine.call for routine in _WITH)
 _moved_back, _charge_back, _measure_back, _observe_back = _ending_back
@@ -195,37 +195,38 @@ def _find(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, W
     """Find voltages and currents, hold these within their limits, and note the fixed point that the sweeps find."""
     rules, work = tape
     at, evaluation = _row(rules.noted, step, stage), N_STAGES * step + stage
-    _flow((block, scratch, work.tape), network.tables, NONE, at)
-    _hold((block, scratch), network.tables, NONE)
+    _flow((block, scratch, work.tape), network.code, (), at)
+    _hold((block, scratch), network.code)
     for x in range(block.shape[1]):
         work.limited[evaluation, x] = False
         for i in range(rules.reactances.shape[0]):
             work.limited[evaluation, x] |= scratch[rules.reactances[i], x] > 0.0
-    _sweep_once((block, scratch, work.tape), network.tables, NONE, at + rules.noted.flows)
+    _sweep_once((block, scratch, work.tape), network.code, (), at + rules.noted.flows)
 
 
 @internal
 def _move(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, Work], step: int, stage: int) -> None:
     rules, work = tape
     at = _row(rules.noted, step, stage) + rules.noted.flows + rules.noted.sweep
-    _motion((block, scratch, work.tape), network.tables, stage_scalars(network.facts, step, stage), at)
+    _motion((block, scratch, work.tape), network.code, stage_scalars(network.facts, step, stage), at)
 
 
 @internal
 def _finish(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, Work], step: int) -> None:
     rules, work = tape
-    _moved((block, scratch, work.tape), network.tables, NONE, _row(rules.noted, step, N_STAGES))
-    _watch((block, scratch), network.tables, NONE)
+    _moved((block, scratch, work.tape), network.code, (), _row(rules.noted, step, N_STAGES))
+    _watch((block, scratch), network.code)
 
 
 @internal
 def _find_rates(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, Work], step: int) -> None:
     rules, work = tape
     at = _row(rules.noted, step, 0) + rules.noted.flows + rules.noted.sweep
-    _rates((block, scratch, work.tape), network.tables, stage_scalars(network.facts, step, 0), at)
+    _rates((block, scratch, work.tape), network.code, stage_scalars(network.facts, step, 0), at)
 
 
 _replay = interval_of(_strike, _find, _move, _finish, _find_rates)
+_play = task_interval_of(_act, _replay, _charge, _measure, _observe)
 
 
 @internal
@@ -274,29 +275,29 @@ def _pull_flows(bars: Floats, to: Floats, network: Network, rules: Rules, work: 
             for x in range(width):
                 work.before[rules.flows[i], x] = work.bars[rules.flows[i], x]
         arrays = bars, work.bars, work.tape, work.scratch, to
-        _sweep_back(arrays, network.tables, NONE, at + rules.noted.flows)
+        _sweep_back(arrays, network.code, (), at + rules.noted.flows)
         all_settled = _settle(rules, work)
         sweeps += 1
     for x in range(width):
         if not work.settled[x]:
             work.bars[:, x] = math.nan
-    _flow_back((bars, work.bars, work.tape, work.scratch, to), network.tables, NONE, at)
+    _flow_back((bars, work.bars, work.tape, work.scratch, to), network.code, (), at)
 
 
 @internal
 def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work) -> None:
     """Go back through a control interval, against the order of :func:`~wtg_gym.physics.integration.interval_of`."""
-    tables, scratch, facts, p = network.tables, work.scratch, network.facts, rules.noted
+    code, scratch, facts, p = network.code, work.scratch, network.facts, rules.noted
     arrays, n, of_find = (bars, work.bars, work.tape, scratch, to), facts.n_substeps, p.flows + p.sweep
-    _rates_back(arrays, tables, stage_scalars(facts, n, 0), _row(p, n, 0) + of_find)
+    _rates_back(arrays, code, stage_scalars(facts, n, 0), _row(p, n, 0) + of_find)
     _pull_flows(bars, to, network, rules, work, n, 0)
     for step in range(n - 1, -1, -1):
         for i in range(rules.admittances.shape[0]):
             for x in range(scratch.shape[1]):
                 scratch[rules.admittances[i], x] = work.admittances[step, i, x]
-        _moved_back(arrays, tables, NONE, _row(p, step, N_STAGES))
+        _moved_back(arrays, code, (), _row(p, step, N_STAGES))
         for stage in range(N_STAGES - 1, -1, -1):
-            _motion_back(arrays, tables, stage_scalars(facts, step, stage), _row(p, step, stage) + of_find)
+            _motion_back(arrays, code, stage_scalars(facts, step, stage), _row(p, step, stage) + of_find)
             _pull_flows(bars, to, network, rules, work, step, stage)
         _pull_lost_governors(bars, rules, work, step)
 
@@ -318,30 +319,26 @@ def pull(
     The blocks (n_blocks, n_rows, width) stand as before the step, and as after it on return; `bars` are the cotangents.
     """
     rules, work = tape
-    tables, scratch, scratch_bars, p = network.tables, work.scratch, work.bars, rules.noted
+    code, scratch, scratch_bars, p = network.code, work.scratch, work.bars, rules.noted
     width = blocks.shape[2]
-    of_charging = _row(p, network.facts.n_substeps, 0) + p.flows + p.sweep + p.rates
-    of_measuring, of_observing = of_charging + p.charged, of_charging + p.charged + p.measured
+    charged = _row(p, network.facts.n_substeps, 0) + p.flows + p.sweep + p.rates
+    notes = Notes(0, charged, charged + p.charged, charged + p.charged + p.measured)
     for b in range(first, last):
         block, block_bars, to, env = blocks[b], bars.blocks[b], bars.constants[b], b * width
         read_actions(scratch, actions, env, task)
         taped, back = (block, scratch, work.tape), (block_bars, scratch_bars, work.tape, scratch, to)
-        _act(taped, tables, NONE, 0)
-        _replay(block, scratch, env, network, data, tape)
-        _charge(taped, tables, NONE, of_charging)
-        _measure(taped, tables, NONE, of_measuring)
-        _observe(taped, tables, NONE, of_observing)
+        _play(taped, env, network, data, notes, tape)
 
         scratch_bars[:] = 0.0
         num_envs = min(width, actions.shape[0] - env)
         for k in range(task.observed.shape[0]):
             for x in range(num_envs):
                 scratch_bars[task.observed[k], x] += bars.observations[env + x, k]
-        _observe_back(back, tables, NONE, of_observing)
-        _measure_back(back, tables, NONE, of_measuring)
-        _charge_back(back, tables, NONE, of_charging)
+        _observe_back(back, code, (), notes.observed)
+        _measure_back(back, code, (), notes.measured)
+        _charge_back(back, code, (), notes.charged)
         _pull_interval(block_bars, to, network, rules, work)
-        _act_back(back, tables, NONE, 0)
+        _act_back(back, code, (), notes.acted)
         for a in range(task.wanted.shape[0]):
             for x in range(num_envs):
                 bars.actions[env + x, a] = scratch_bars[task.wanted[a], x]

@@ -22,7 +22,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import require_known
 from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Program, constant_places
-from wtg_gym.systems.routines import code_of
+from wtg_gym.systems.routines import addresses_of
 from wtg_gym.tasks.cost import COST, COST_TERMS
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK
 
@@ -120,10 +120,10 @@ class Tape:
         #: The plant, with the table of the programs that go back.
         self._plant = with_places(built, layout, programs, units, taped)
         self._link(programs)
-        plant_map, tables = PlantMap(built, layout, units), self._plant.network.tables
+        plant_map, code = PlantMap(built, layout, units), self._plant.network.code
         self._rules = rules_of(layout, plant_map, taped)
         self._works: dict[int, Work] = {}
-        places_of = functools.partial(constant_places, programs, plant_map, tables)
+        places_of = functools.partial(constant_places, programs, plant_map, code)
         self._moved = Moved(simulator.settings, self.parameters, layout, places_of)
         inv_tau = layout.wtg("inv_tau")
         if ACTION_MODES[settings.action_mode][1]:
@@ -144,7 +144,9 @@ class Tape:
     def _link(self, programs: Sequence[Program]) -> None:
         simulator = self.batch.simulator
         routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
-        self._plant = self._plant.with_code(code_of(programs, {simulator.width: routines}, simulator.functions()))
+        self._plant = self._plant.with_addresses(
+            addresses_of(programs, {simulator.width: routines}, simulator.functions())
+        )
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -359,7 +361,7 @@ class Tape:
         """
         simulator, network = self.batch.simulator, self._plant.network
         actions = np.zeros((self.batch.num_envs, self.batch.n_action))
-        n_constants = network.tables.numbers.size if self.parameters else 0
+        n_constants = network.code.constants.size if self.parameters else 0
         constants = np.zeros((len(blocks), n_constants, simulator.width))
         bars, data, task = Bars(blocks_bars, seen, actions, constants), simulator.data, self.batch.task_data
         taken = self._actions[interval]

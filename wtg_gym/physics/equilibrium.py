@@ -17,7 +17,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.units import BUSES, ENV, StartFailure
 from wtg_gym.ranges import whole_steps
 from wtg_gym.systems.compiled import allocating, compiled
-from wtg_gym.systems.programs import NONE, Complex, Whole
+from wtg_gym.systems.programs import Complex, Whole
 from wtg_gym.systems.routines import Function
 
 #: Beginning of the names of scenarios that a simulator makes for itself.
@@ -153,25 +153,25 @@ _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 @allocating
 def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> float:
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
-    facts, tables, scratch = network.facts, network.tables, arrays[1]
+    facts, code, scratch = network.facts, network.code, arrays[1]
     env = units_of(scratch, facts.starting)[0]
-    integration.plan(arrays, tables, NONE)
+    integration.plan(arrays, code)
     released = env[_OF_START.failure, 0] == 0.0
     balances = facts.n_balances
     while released:
         if facts.is_large:
-            steps = _sparse_flow(tables, (y, facts.slack, buses, FLOW_COLUMNS, network.pattern))
+            steps = _sparse_flow(code, (y, facts.slack, buses, FLOW_COLUMNS, network.pattern))
         else:
-            steps = _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS))
+            steps = _flow(code, (y, facts.slack, buses, FLOW_COLUMNS))
         if steps < 0:
             env[_OF_START.failure, 0] = _DIVERGED
             break
         if balances:
-            integration.balance(arrays, tables, NONE)
+            integration.balance(arrays, code)
             balances -= 1
             continue
         # Each time at least one bus lets go, and no bus does twice.
-        integration.release(arrays, tables, NONE)
+        integration.release(arrays, code)
         released = env[_OF_START.released, 0] > 0.0
     if env[_OF_START.failure, 0] != 0.0:
         return math.nan
@@ -187,7 +187,7 @@ def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: 
     # Far from the balance no power flow exists: the sum of all powers without losses comes close.
     while high - low > _CLOSE and env[failure, 0] == 0.0:
         env[at, 0] = 0.5 * (low + high)
-        integration.plan(arrays, network.tables, NONE)
+        integration.plan(arrays, network.code)
         if env[_OF_START.needed, 0] > 0.0:
             low = env[at, 0]
         else:
@@ -224,7 +224,7 @@ def prepare_envs(
     admittances here. `failures` takes why one cannot start, and the number of the unit that cannot, machines first
     (n, 2).
     """
-    facts, tables = network.facts, network.tables
+    facts, code = network.facts, network.code
     starting, planning = units_of(scratch, facts.starting)[0], facts.planning
     end = planning.first + planning.n_units * planning.n_rows
     buses = scratch[planning.first : end].reshape(planning.n_units, planning.n_rows)
@@ -237,7 +237,7 @@ def prepare_envs(
         else:
             _plan_flow(arrays, buses, y, network)
         if starting[_OF_START.failure, 0] == 0.0:
-            integration.settle(arrays, tables, NONE)
+            integration.settle(arrays, code)
             run = units_of(block, facts.env)[0]
             voltage = buses[int(run[OF_ENV.noise_bus, 0]), _OF_BUS.polar]
             run[OF_ENV.noise_per_mw, 0] = 1.0 / (facts.base_mva * voltage * voltage)
@@ -247,11 +247,11 @@ def prepare_envs(
                     voltage = buses[events[e].bus, _OF_BUS.polar]
                     events[e].active /= voltage * voltage
                     events[e].reactive /= -(voltage * voltage)
-            integration.refresh(tables, (block, 0, env, network, data))
-            integration.combine_load_noise(arrays, tables, NONE)
-            integration.find(arrays, tables, NONE)
-            integration.find_rates(arrays, tables, NONE)
-            integration.start(arrays, tables, NONE)
+            integration.refresh(code, (block, 0, env, network, data))
+            integration.combine_load_noise(arrays, code)
+            integration.find(arrays, code)
+            integration.find_rates(arrays, code)
+            integration.start(arrays, code)
         failures[env, 0] = int(starting[_OF_START.failure, 0])
         failures[env, 1] = int(starting[_OF_START.failure + 1, 0])
 

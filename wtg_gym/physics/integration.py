@@ -9,11 +9,11 @@ from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.compiled import allocating, compiled, inlined, internal
-from wtg_gym.systems.programs import NONE, in_one_table
+from wtg_gym.systems.programs import numbered
 from wtg_gym.systems.routines import Function, Routine
 
 #: Lists of :mod:`wtg_gym.physics.step` that are programs: those of a step, then those of the start of a run.
-PROGRAMS = in_one_table(
+PROGRAMS = numbered(
     ADMITTANCES=systems.ADMITTANCES,
     FIND=systems.FIND,
     RATES=systems.RATES,
@@ -28,8 +28,8 @@ PROGRAMS = in_one_table(
 )
 _ADMITTANCES, _FIND, _RATES, _MOVE, _FINISH, _PROTECT, *_STARTING = PROGRAMS
 _FIRST, _MIDDLE, _LAST = (
-    Routine(_MOVE, place=place, first=first, last=last)
-    for place, (first, last) in enumerate(((1.0, 0.0), (0.0, 0.0), (0.0, 1.0)))
+    Routine(_MOVE, variant=variant, first=first, last=last)
+    for variant, (first, last) in enumerate(((1.0, 0.0), (0.0, 0.0), (0.0, 1.0)))
 )
 #: Routines of an evaluation, of a step, and of the start of a run.
 EVALUATING = tuple(map(Routine, (_ADMITTANCES, _FIND, _RATES)))
@@ -68,11 +68,11 @@ def strike(
     env, changed = network.facts.env.first, False
     for x in range(block.shape[1]):
         if block[env + OF_ENV.step, x] >= block[env + OF_ENV.next_change, x]:
-            refresh(network.tables, (block, x, first_env + x, network, data))
+            refresh(network.code, (block, x, first_env + x, network, data))
             changed = True
     if changed:
         # For the whole block: an environment without a change gets the same bits again.
-        combine_load_noise((block, scratch), network.tables, NONE)
+        combine_load_noise((block, scratch), network.code)
 
 
 @inlined
@@ -90,28 +90,28 @@ def stage_scalars(facts: Facts, step: int, stage: int) -> tuple[float, float, fl
 
 @internal
 def _find(block: Floats, scratch: Floats, network: Network, tape: Any, step: int, stage: int) -> None:
-    find((block, scratch), network.tables, stage_scalars(network.facts, step, stage))
+    find((block, scratch), network.code, stage_scalars(network.facts, step, stage))
 
 
 @internal
 def _move(block: Floats, scratch: Floats, network: Network, tape: Any, step: int, stage: int) -> None:
     arrays, scalars = (block, scratch), stage_scalars(network.facts, step, stage)
     if stage == 0:
-        move_first(arrays, network.tables, scalars)
+        move_first(arrays, network.code, scalars)
     elif stage == 3:
-        move_last(arrays, network.tables, scalars)
+        move_last(arrays, network.code, scalars)
     else:
-        move_middle(arrays, network.tables, scalars)
+        move_middle(arrays, network.code, scalars)
 
 
 @internal
 def _finish(block: Floats, scratch: Floats, network: Network, tape: Any, step: int) -> None:
-    finish((block, scratch), network.tables, NONE)
+    finish((block, scratch), network.code)
 
 
 @internal
 def _find_rates(block: Floats, scratch: Floats, network: Network, tape: Any, step: int) -> None:
-    find_rates((block, scratch), network.tables, stage_scalars(network.facts, step, 0))
+    find_rates((block, scratch), network.code, stage_scalars(network.facts, step, 0))
 
 
 def interval_of(
@@ -141,7 +141,7 @@ def interval_of(
         # Protections sample the grid after so many simulation steps, and at the interval's end.
         between = max(1, int(PROTECTION_INTERVAL_S / network.facts.simulation_dt + 1e-6))
         _enter_interval(block, first_env, network, data)
-        combine_load_noise((block, scratch), network.tables, NONE)
+        combine_load_noise((block, scratch), network.code)
         for step in range(n_substeps):
             strike(block, scratch, first_env, network, data, tape, step)
             for stage in range(N_STAGES):
@@ -149,7 +149,7 @@ def interval_of(
                 move(block, scratch, network, tape, step, stage)
             finish(block, scratch, network, tape, step)
             if (step + 1) % between == 0 or step + 1 == n_substeps:
-                protect((block, scratch), network.tables, NONE)
+                protect((block, scratch), network.code)
         find(block, scratch, network, tape, n_substeps, 0)
         find_rates(block, scratch, network, tape, n_substeps)
 
@@ -173,4 +173,4 @@ def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, netwo
 def evaluate_blocks(blocks: Floats, scratches: Floats, network: Network) -> None:
     """Evaluate the time derivatives of all blocks at the start of their wind interval, each in a scratch of its own."""
     for routine in EVALUATING:
-        routine((blocks, scratches), network.tables)
+        routine((blocks, scratches), network.code)

@@ -21,7 +21,7 @@ from wtg_gym.physics.units import ENV, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.compiled import allocating
-from wtg_gym.systems.programs import Complex, Tables
+from wtg_gym.systems.programs import Code, Complex
 from wtg_gym.systems.systems import Kind, count, is_record, short_names, structured
 
 Floats = npt.NDArray[np.float64]
@@ -235,7 +235,7 @@ class Facts(NamedTuple):
 class Network(NamedTuple):
     """A plant as compiled functions read it; the types are the same for every plant.
 
-    The tables say where the systems of a step find rows and constants: see :mod:`wtg_gym.systems.programs`.
+    Programs are called with `code`: see :mod:`wtg_gym.systems`.
     """
 
     facts: Facts
@@ -249,7 +249,7 @@ class Network(NamedTuple):
     angles: Whole  # the row of each unit's angle, -1 for none (n_unit,)
     shed_shares: Floats  # of the load, by each stage of shedding (n_stages,)
     pattern: Pattern  # of the power flow of a large network
-    tables: Tables
+    code: Code
 
 
 class NetworkEvent(NamedTuple):

@@ -1,4 +1,4 @@
-"""From parameters to the tables that compiled functions read."""
+"""From parameters to what compiled functions read."""
 
 import dataclasses
 import functools
@@ -24,7 +24,7 @@ from wtg_gym.physics.protection import STAGES, Shedding
 from wtg_gym.physics.units import BUSES, ENV, ISLANDS, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
 from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
 from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
-from wtg_gym.systems.programs import Complex, Floats, Program, Tables, Whole, build_table
+from wtg_gym.systems.programs import Code, Complex, Floats, Program, Whole, link
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, structured
 
@@ -229,9 +229,9 @@ class PlantTables(NamedTuple):
         """Step of the integration [s]."""
         return self.network.facts.simulation_dt
 
-    def with_code(self, code: Whole) -> "PlantTables":
+    def with_addresses(self, addresses: Whole) -> "PlantTables":
         """Return the plant with the addresses of its machine code in this process."""
-        return self._replace(network=self.network._replace(tables=self.network.tables._replace(code=code)))
+        return self._replace(network=self.network._replace(code=self.network.code._replace(addresses=addresses)))
 
 
 def plant_tables(settings: Plant) -> PlantTables:
@@ -329,7 +329,7 @@ def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Netw
         angles=np.zeros(unit_y.size, dtype=np.int64),
         pattern=pattern_of(bus_y if is_large else bus_y[:0, :0]),
         shed_shares=np.array([stage.share for stage in settings.shedding], dtype=np.float64),
-        tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
+        code=Code(),
     )
 
 
@@ -521,18 +521,17 @@ def with_places(
         turns = "angle" in names_of(device.kind)
         angles.append(layout.rows_of(device.kind, "angle") if turns else np.full(len(device.buses), -1))
     facts = plant.network.facts._replace(**spans)
-    tables = build_table(programs, PlantMap(plant, layout, task), taped)
-    tables = tables._replace(code=plant.network.tables.code)
+    code = link(programs, PlantMap(plant, layout, task), taped, plant.network.code.addresses)
     return plant._replace(
         network=plant.network._replace(
-            facts=facts, connected=np.concatenate(connected), angles=np.concatenate(angles), tables=tables
+            facts=facts, connected=np.concatenate(connected), angles=np.concatenate(angles), code=code
         )
     )
 
 
 @functools.lru_cache(maxsize=16)
 def placed(settings: Plant, task: TaskUnits = NO_TASK) -> tuple[PlantTables, Layout]:
-    """Return a plant's tables, which are read only, and the layout of its numbers, with those of a task."""
+    """Return what is compiled of a plant, which is read only, and the layout of its numbers, with those of a task."""
     plant = plant_tables(settings)
     layout = layout_of(plant, task)
     return with_places(plant, layout, programs_of(plant, *integration.PROGRAMS, *task.programs), task), layout

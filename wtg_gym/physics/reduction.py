@@ -75,7 +75,7 @@ def refresh_network(block: Floats, x: int, env: int, network: Network, data: Bat
         following = min(following, _next_interval(step, facts))
     rows.env[OF_ENV.last_change], rows.env[OF_ENV.next_change] = step, following
     if facts.islands.n_units > 1 and opens_lines:
-        _islands(network.tables, (block, x, env, network, data))
+        _islands(network.code, (block, x, env, network, data))
     _shed(rows, network, events)
     _reduce(rows, network, events)
 

@@ -19,7 +19,7 @@ from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_memory, require_range, require_whole, whole_steps
 from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Complex, Whole
-from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
+from wtg_gym.systems.routines import WIDE, Function, Routine, addresses_of
 
 #: A thread is worth its start only for this many blocks that advance by one control interval.
 _BLOCKS_PER_THREAD = 4
@@ -224,8 +224,8 @@ class Simulator:
         if not code:
             routines: dict[int, tuple[Routine, ...]] = {1: (*integration.STARTING, *task.starting)}
             routines[self.width] = (*integration.STEPPING, *task.stepping, *routines.get(self.width, ()))
-            code.append(code_of(programs, routines, functions))
-        self.plant = self.plant.with_code(code[0])
+            code.append(addresses_of(programs, routines, functions))
+        self.plant = self.plant.with_addresses(code[0])
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float = 1.0, committed: float = 1.0) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""

@@ -1,4 +1,4 @@
-"""Programs: lists of systems, compiled once for all plants, and the table that says where a plant has its rows.
+"""Programs: lists of systems, compiled once for all plants, and linked to the rows and constants of each plant.
 
 An entry of a program is a :class:`~wtg_gym.systems.systems.System`, which goes over all units of its kind, or a control
 block: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
@@ -19,8 +19,8 @@ from wtg_gym.systems.systems import Kind, Place, System, constants_of, count, fl
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 Complex = npt.NDArray[np.complex128]
-#: Numbers in a table's head for each entry: how many units, the places of its first row and its first constant, and of
-#: its first row on the program's tape.
+#: Numbers in the head of the rows for each entry: how many units, the places of its first row and its first constant,
+#: and of its first row on the program's tape.
 HEAD = 4
 #: Entries of a program, at most.
 _MOST = 40
@@ -92,20 +92,16 @@ class Each(NamedTuple):
     inner: System
 
 
-class Tables(NamedTuple):
-    """Where the systems of programs find the rows of a plant, and its constants; and where their machine code is."""
+class Code(NamedTuple):
+    """Programs linked to a plant: the rows and constants that they read, and where their machine code is."""
 
-    table: Whole
-    numbers: Floats
-    code: Whole  # addresses in this process, see :func:`~wtg_gym.systems.routines.code_of`
+    rows: Whole = np.zeros(0, dtype=np.int64)
+    constants: Floats = np.zeros(0)
+    addresses: Whole = np.zeros(0, dtype=np.int64)  # in this process, from systems.routines.addresses_of
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy may live in another process.
-        return Tables, (self.table, self.numbers, np.zeros(0, dtype=np.int64))
-
-
-#: Scalars of a program that asks for none.
-NONE = (0.0, 0.0, 0.0, 0.0)
+        return Code, (self.rows, self.constants)
 
 
 class MemoryMap(Protocol):
@@ -128,7 +124,7 @@ class MemoryMap(Protocol):
 
 
 def _flat(entries: Sequence[Any]) -> Iterator[Any]:
-    """Yield everything that has a place in the head of a table."""
+    """Yield everything that has a place in the head of the rows."""
     for entry in entries:
         if isinstance(entry, Each):
             yield from entry
@@ -150,7 +146,7 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
 
 
 class Program:
-    """A list of systems and control blocks, the program of a number among those that share a table."""
+    """A list of systems and control blocks, the program of a number among those that are linked together."""
 
     def __init__(self, name: str, entries: Sequence[Any], number: int) -> None:
         self.name, self.number, self._unjoined = name, number, tuple(entries)
@@ -216,8 +212,10 @@ def _n_units(entry: Any, plant: MemoryMap) -> int:
     return plant.n_units(entry.units) if isinstance(entry, Product) else 1
 
 
-def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = ()) -> Tables:
-    """Return the tables of programs for a plant; `taped` are those of them that have a way back."""
+def link(
+    programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = (), addresses: Whole | None = None
+) -> Code:
+    """Return programs linked to a plant; `taped` are those of them that have a way back."""
     head = np.zeros((_MOST * len(programs), HEAD), dtype=np.int64)
     rows, numbers, cells = list[int](), list[float](), dict[Any, int]()
     for program in programs:
@@ -237,13 +235,14 @@ def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[P
             else:
                 row[1] = plant.first_rows(entry.place.kind, entry.place.part)[0] + entry.place.offset
     table = np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)])
-    return Tables(table, np.array(numbers, dtype=np.float64), np.zeros(0, dtype=np.int64))
+    code = Code(table, np.array(numbers, dtype=np.float64))
+    return code if addresses is None else code._replace(addresses=addresses)
 
 
 def constant_places(
-    programs: Sequence[Program], plant: MemoryMap, tables: Tables, argument: str, leaf: str, unit: int | None
+    programs: Sequence[Program], plant: MemoryMap, code: Code, argument: str, leaf: str, unit: int | None
 ) -> list[int]:
-    """Return where among its numbers a table has a constant, as :func:`build_table` was given and returned.
+    """Return where among its constants linked code has one, as :func:`link` was given and returned.
 
     Argument and leaf are as in "machine" and "governor.droop"; the unit is None for all of its kind.
     """
@@ -255,7 +254,7 @@ def constant_places(
                 continue
             n, place = _n_units(system, plant), system.places[argument]
             units = plant.seen(system.kind, place.seen)[:n] if place.seen else np.arange(n)
-            first = int(tables.table[HEAD * program.places[id(system)] + 2])
+            first = int(code.rows[HEAD * program.places[id(system)] + 2])
             indices += [
                 first + int(k) * len(used) + used.index(f"{argument}.{leaf}")
                 for k in np.flatnonzero((units == unit) | (unit is None))
@@ -311,6 +310,6 @@ def unconditional(entries: Sequence[Any]) -> tuple[Any, ...]:
     return tuple(inner for entry in entries for inner in (entry.entries if isinstance(entry, When) else (entry,)))
 
 
-def in_one_table(*before: Program, **entries: Sequence[Any]) -> tuple[Program, ...]:
-    """Return programs by their names that share a table, behind that of programs before them."""
+def numbered(*before: Program, **entries: Sequence[Any]) -> tuple[Program, ...]:
+    """Return programs by their names, numbered behind those before them; plants link them together."""
     return tuple(Program(name, part, i) for i, (name, part) in enumerate(entries.items(), start=len(before)))

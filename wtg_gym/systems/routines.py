@@ -1,8 +1,8 @@
 """Machine code that is called at an address: routines, which programs are compiled to, and some functions.
 
-A compiled function finds the address in the tables. So a program is compiled once for each width of blocks, by whatever
-functions it is called, and again only if its own equations change. Numba would build a function into each of its
-callers, and into each of theirs, and compile it there again.
+A compiled function finds the address in code that is linked to a plant. So a program is compiled once for each width of
+blocks, by whatever functions it is called, and again only if its own equations change. Numba would build a function
+into each of its callers, and into each of theirs, and compile it there again.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 from wtg_gym.systems import compiled
-from wtg_gym.systems.programs import NONE, Floats, Program, Tables, Whole
+from wtg_gym.systems.programs import Code, Floats, Program, Whole
 from wtg_gym.systems.systems import SCALARS
 from wtg_gym.systems.writers import Writer
 
@@ -28,7 +28,7 @@ WIDE = 16
 #: Where machine code is in this process, by the key that it is kept under.
 _ADDRESSES: dict[bytes, int] = {}
 #: Routines that one program has, at most, and functions that are called at an address.
-_PLACES, _FUNCTIONS = 4, 4
+_VARIANTS, _FUNCTIONS = 4, 4
 _DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
 _NUMBERS, _WHOLES = _DOUBLE.as_pointer(), _WHOLE.as_pointer()
 
@@ -36,18 +36,18 @@ _NUMBERS, _WHOLES = _DOUBLE.as_pointer(), _WHOLE.as_pointer()
 class Routine:
     """A compiled program.
 
-    `call` is a function for compiled code, of (arrays, tables, scalars) and, with a tape, the row where the program's
-    notes begin. Arrays (n_rows, width) are those of the block and of scratch; then the tape. For the way back they are
-    cotangents (bars) of block and scratch, the tape, the scratch, and cotangents of the constants in their order in the
-    tables: the bars after the program become those before it, and those of the constants are added to.
+    `call` is a function for compiled code, of (arrays, code): the code of a plant; then scalars, () for none, and, with
+    a tape, the row where the program's notes begin. Arrays (n_rows, width) are those of the block and of scratch; then
+    the tape. For the way back they are cotangents (bars) of block and scratch, the tape, the scratch, and cotangents of
+    the code's constants: the bars after the program become those before it, and those of the constants are added to.
 
-    `place` says which of the program's routines it is, 0 … 3; one of two that stand at the same place can be in tables.
+    `variant` says which of the program's routines it is, 0 … 3; of two that are the same variant, code has one.
     `known` are values of scalars, compiled in: branches that they exclude are left out.
     """
 
-    def __init__(self, program: Program, writer: type[Writer] = Writer, place: int = 0, **known: float) -> None:
-        self.program, self.place, self._writer, self._known = program, place, writer, known
-        self._at = _FUNCTIONS + 2 * (program.number * _PLACES + place)
+    def __init__(self, program: Program, writer: type[Writer] = Writer, variant: int = 0, **known: float) -> None:
+        self.program, self.variant, self._writer, self._known = program, variant, writer, known
+        self._at = _FUNCTIONS + 2 * (program.number * _VARIANTS + variant)
         self.call = _call(self._at, writer.n_arrays)
 
     def address(self, program: Program, width: int) -> int:
@@ -81,25 +81,25 @@ class Routine:
                 _ADDRESSES[keys[0]] = engine.get_function_address(name)
             return _ADDRESSES[keys[0]]
 
-    def __call__(self, arrays: Sequence[Floats], tables: Tables, scalars: Sequence[float] = NONE) -> None:
+    def __call__(self, arrays: Sequence[Floats], code: Code, scalars: Sequence[float] = ()) -> None:
         """Run it from Python on arrays in C order, (n_rows, width), or (n_blocks, n_rows, width) block by block.
 
-        Tables without code are for the routine's own program. A ValueError says that the arrays have another width, or
-        the tables no code for them.
+        Without addresses the code is of the routine's own program. A ValueError says that the arrays have another
+        width, or the code no address for them.
         """
         stacks = [array if array.ndim == 3 else array[np.newaxis] for array in arrays]
         width = stacks[0].shape[2]
         if width not in (1, WIDE) or any(stack.shape[2] != width for stack in stacks):
             raise ValueError(f"arrays must have 1 or {WIDE} columns each, got {[array.shape for array in arrays]}")
-        if tables.code.size:
-            address = int(tables.code[self._at :][:2].sum() and tables.code[self._at + (width > 1)])
+        if code.addresses.size:
+            address = int(code.addresses[self._at :][:2].sum() and code.addresses[self._at + (width > 1)])
         else:
             address = self.address(self.program, width)
         if not address:
-            raise ValueError(f"the tables have no code of {self.program.name!r} for blocks of {width}")
+            raise ValueError(f"there is no code of {self.program.name!r} for blocks of {width}")
         argument_types = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
         function = ctypes.CFUNCTYPE(None, *argument_types)(address)
-        constant = tables.table.ctypes.data, tables.numbers.ctypes.data, *scalars
+        constant = code.rows.ctypes.data, code.constants.ctypes.data, *(scalars or (0.0,) * len(SCALARS))
         places = [(stack.ctypes.data, stack.strides[0]) for stack in stacks]
         for block in range(len(stacks[0])):
             function(*(data + block * stride for data, stride in places), *constant)
@@ -157,48 +157,43 @@ def _signature(n_arrays: int) -> Any:
 
 
 def _call(place: int, n_arrays: int) -> Callable[..., None]:
-    """Return a function for compiled code that calls what the tables have at a place."""
+    """Return a function for compiled code that calls what linked code has at a place."""
 
-    def written(arrays: Any, tables: Any, scalars: Any, at: Any) -> Any:
+    @intrinsic
+    def call(typing_context: Any, arrays: Any, linked: Any, scalars: Any = (), at: Any = 0) -> Any:
         if len(arrays) != n_arrays or any(array.layout != "C" for array in arrays):
             raise TypeError(f"a routine takes {n_arrays} arrays in C order, got {arrays}")
+        # Numba gives a default as a value, and other arguments as types.
+        scalars = types.Tuple(()) if scalars == () else scalars
 
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             def data_of(types_: Any, values: Any) -> list[Any]:
                 makers = (context.make_array(type_) for type_ in types_)
                 return [make(context, builder, builder.extract_value(values, i)).data for i, make in enumerate(makers)]
 
-            of_arrays, of_tables, numbers = arguments[:3]
+            of_arrays, of_linked, numbers, first_note = arguments
             first = context.make_array(arrays[0])(context, builder, builder.extract_value(of_arrays, 0))
             width = builder.extract_value(first.shape, 1)
             wide = builder.zext(builder.icmp_signed(">", width, _WHOLE(1)), _WHOLE)
-            data, (table, constants, addresses) = data_of(arrays, of_arrays), data_of(tables, of_tables)
+            data, (rows, constants, addresses) = data_of(arrays, of_arrays), data_of(linked, of_linked)
             if n_arrays > 2:
-                data[2] = builder.gep(data[2], [builder.mul(arguments[3], width)])
+                data[2] = builder.gep(data[2], [builder.mul(first_note, width)])
             address = builder.load(builder.gep(addresses, [builder.add(_WHOLE(place), wide)]))
             function = builder.inttoptr(address, _signature(n_arrays).as_pointer())
-            scalar_values = [builder.extract_value(numbers, i) for i in range(len(SCALARS))]
-            builder.call(function, [*data, table, constants, *scalar_values])
+            values = [builder.extract_value(numbers, i) for i in range(len(scalars))]
+            builder.call(function, [*data, rows, constants, *(values or [_DOUBLE(0.0)] * len(SCALARS))])
             return context.get_dummy_value()
 
-        return types.void(arrays, tables, scalars, *at), code
+        return types.void(arrays, linked, scalars, types.int64), code
 
-    @intrinsic
-    def call(typing_context: Any, arrays: Any, tables: Any, scalars: Any) -> Any:
-        return written(arrays, tables, scalars, ())
-
-    @intrinsic
-    def call_at(typing_context: Any, arrays: Any, tables: Any, scalars: Any, at: Any) -> Any:
-        return written(arrays, tables, scalars, (types.int64,))
-
-    routine: Callable[..., None] = call if n_arrays == 2 else call_at
+    routine: Callable[..., None] = call
     return routine
 
 
 class Function:
     """A compiled function that others call at an address, at a place of its own among all such functions.
 
-    `call` is a function for compiled code, of (tables, arguments), which are a tuple. The type of its result, where it
+    `call` is a function for compiled code, of (code, arguments), which are a tuple. The type of its result, where it
     is not given, is found by compiling it, wherever it might be called.
     """
 
@@ -206,12 +201,12 @@ class Function:
         self.function, self.place = function, place
 
         @intrinsic
-        def call(typing_context: Any, tables: Any, arguments: Any) -> Any:
+        def call(typing_context: Any, linked: Any, arguments: Any) -> Any:
             argument_types = tuple(types.unliteral(type_) for type_ in arguments)
             returned = result or self._compiled(argument_types).signature.return_type
 
             def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-                addresses = context.make_array(tables[2])(context, builder, builder.extract_value(values[0], 2)).data
+                addresses = context.make_array(linked[2])(context, builder, builder.extract_value(values[0], 2)).data
                 address = builder.load(builder.gep(addresses, [_WHOLE(place)]))
                 type_ = context.call_conv.get_function_type(returned, argument_types)
                 called = builder.inttoptr(address, type_.as_pointer())
@@ -221,7 +216,7 @@ class Function:
                 ]
                 return context.call_conv.call_function(builder, called, returned, argument_types, converted)[1]
 
-            return returned(tables, arguments), code
+            return returned(linked, arguments), code
 
         self.call: Callable[..., Any] = call
 
@@ -236,20 +231,20 @@ class Function:
         return address
 
 
-def code_of(
+def addresses_of(
     programs: Sequence[Program], routines: Mapping[int, Iterable[Routine]], functions: Mapping[Function, Any]
 ) -> Whole:
-    """Return addresses in this process, as :class:`~wtg_gym.systems.programs.Tables` have them.
+    """Return addresses in this process, as :class:`~wtg_gym.systems.programs.Code` has them.
 
-    The programs share the tables. Routines that will be called are given by the width of the blocks, functions with
+    The programs are linked together. Routines that will be called are given by the width of the blocks, functions with
     arguments like those that they will be given.
     """
-    addresses = np.zeros(_FUNCTIONS + 2 * _PLACES * len(programs), dtype=np.int64)
+    addresses = np.zeros(_FUNCTIONS + 2 * _VARIANTS * len(programs), dtype=np.int64)
     for function, arguments in functions.items():
         addresses[function.place] = function.address(*arguments)
-    of_programs = addresses[_FUNCTIONS:].reshape(len(programs), _PLACES, 2)
+    of_programs = addresses[_FUNCTIONS:].reshape(len(programs), _VARIANTS, 2)
     for width, of_width in routines.items():
         for routine in of_width:
             number = routine.program.number
-            of_programs[number, routine.place, int(width > 1)] = routine.address(programs[number], width)
+            of_programs[number, routine.variant, int(width > 1)] = routine.address(programs[number], width)
     return addresses

@@ -1,7 +1,7 @@
 """Traces as machine code: the operations of a system on all lanes of a block at once.
 
-Rows may lie anywhere, and numbers of units are known when the code runs: both are read from a table. No loop over lanes
-is left for the compiler to find, and none over rows, so that one compilation serves every plant.
+Rows may lie anywhere, and numbers of units are known when the code runs: linked code has both. No loop over lanes is
+left for the compiler to find, and none over rows, so that one compilation serves every plant.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,11 +31,11 @@ _OF_LIBM = {"power": "llvm.pow.f64", "sin": "llvm.sin.f64", "cos": "llvm.cos.f64
 class Lanes:
     """Instructions on numbers that have one value per lane: vectors, or plain numbers for a block of width 1.
 
-    `numbers` is a pointer to the numbers that tables lie among.
+    `constants` is a pointer to the constants of the code, tables of cells among them.
     """
 
-    def __init__(self, builder: Any, width: int, numbers: Any) -> None:
-        self.builder, self.width, self.numbers = builder, width, numbers
+    def __init__(self, builder: Any, width: int, constants: Any) -> None:
+        self.builder, self.width, self.constants = builder, width, constants
         self.vector = _DOUBLE if width == 1 else ir.VectorType(_DOUBLE, width)
         self.bits = _BIT if width == 1 else ir.VectorType(_BIT, width)
 
@@ -142,8 +142,7 @@ class Lanes:
         if operation == "noise":
             return self._noise(*a)
         if operation == "cell":
-            # Numbers lie among those of the tables.
-            return self.each(lambda at: builder.load(builder.gep(self.numbers, [builder.fptosi(at, _WHOLE)])), *a)
+            return self.each(lambda at: builder.load(builder.gep(self.constants, [builder.fptosi(at, _WHOLE)])), *a)
         raise NotImplementedError(operation)
 
     def _noise(self, seed: Any, step: Any, channel: Any) -> Any:

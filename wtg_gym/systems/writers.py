@@ -32,10 +32,10 @@ class Writer:
         program: Program,
         known: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
-        self.block, self.scratch, self.table, self.numbers, *others = data
+        self.block, self.scratch, self.rows, self.constants, *others = data
         # On a tape alone; the scratch of the way there, and cotangents of constants, on the way back alone.
-        self.tape, self.matrices, self.constants = (*others, None, None, None)[:3]
-        self.builder, self.lanes = builder, Lanes(builder, width, self.numbers)
+        self.tape, self.matrices, self.constant_bars = (*others, None, None, None)[:3]
+        self.builder, self.lanes = builder, Lanes(builder, width, self.constants)
         self.scalars, self.program, self.known = scalars, program, known
 
     def write(self, entries: Sequence[Any]) -> None:
@@ -57,7 +57,7 @@ class Writer:
         return self._whole(_WHOLE(HEAD * self.program.places[id(entry)] + which))
 
     def _whole(self, place: Any) -> Any:
-        return self.builder.load(self.builder.gep(self.table, [place]))
+        return self.builder.load(self.builder.gep(self.rows, [place]))
 
     def _system(self, system: System, unit: Any) -> None:
         lanes, trace = self.lanes, system.trace_with(**self.known)
@@ -97,7 +97,7 @@ class Writer:
     ) -> dict[ex.Number, Callable[[], Any]]:
         builder, lanes = self.builder, self.lanes
 
-        first = builder.gep(self.numbers, [self._first_constant(system, unit)])
+        first = builder.gep(self.constants, [self._first_constant(system, unit)])
 
         def constant(name: str) -> Any:
             return lanes.spread(builder.load(builder.gep(first, [_WHOLE(system.constants_used.index(name))])))
@@ -273,7 +273,7 @@ class BackWriter(TapedWriter):
             pointer, cotangent = self._at(rows[at[0]], at[1]), instruction(adjoint.inputs.get(at, 0.0))
             lanes.store(cotangent if at in written else self.builder.fadd(lanes.load(pointer), cotangent), pointer)
         for name, value in adjoint.constants.items() if self.with_constants else ():
-            first_constant = self._pointer(self.constants, self._first_constant(system, unit))
+            first_constant = self._pointer(self.constant_bars, self._first_constant(system, unit))
             pointer = self._at(first_constant, system.constants_used.index(name))
             lanes.store(self.builder.fadd(lanes.load(pointer), instruction(value)), pointer)
 

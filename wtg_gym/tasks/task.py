@@ -14,7 +14,7 @@ from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.plant import Plant, TaskUnits
 from wtg_gym.physics.sensors import DELAY_MAX_S
 from wtg_gym.systems import routines, systems
-from wtg_gym.systems.programs import Program, in_one_table
+from wtg_gym.systems.programs import Program, numbered
 from wtg_gym.tasks import cost, episode
 from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GRID, OBSERVED_MACHINES
 from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS
@@ -141,7 +141,7 @@ class Task:
     @cached_property
     def programs(self) -> tuple[Program, ...]:
         """The lists as programs, behind those of the physics."""
-        return in_one_table(
+        return numbered(
             *integration.PROGRAMS,
             ACT=self.act,
             CHARGE=self.charge,
