@@ -32,7 +32,7 @@ DIFFERENCE = 2e-6  # of a state [rad, p.u.]; truncation and rounding are both ne
 def at_rest(scenario, laws, settings=None):
     """Return a simulator in the equilibrium that a scenario starts from; its events do not matter."""
     settings = settings or Plant()
-    duration_s = settings.control_dt * max(1, round(1.0 / settings.control_dt))
+    duration_s = settings.interval_s * max(1, round(1.0 / settings.interval_s))
     simulator = Simulator(settings, duration_s=duration_s)
     laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, dataclasses.replace(scenario, events=(), duration_s=duration_s), laws)

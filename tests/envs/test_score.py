@@ -278,7 +278,7 @@ def test_low_voltage_may_last_three_seconds():
 
 @pytest.mark.parametrize(("scenario", "status"), [(sagging(), Status.STALL), (SAGGED, Status.VOLTAGE_COLLAPSE)])
 def test_run_ends_when_it_does_whatever_the_control_interval(scenario, status):
-    usual, *runs = (simulate(scenario, "mppt", Plant(control_dt=dt)) for dt in (0.1, 0.05, 0.5, 10.0))
+    usual, *runs = (simulate(scenario, "mppt", Plant(interval_s=dt)) for dt in (0.1, 0.05, 0.5, 10.0))
     assert usual.status == status
     for run in runs:
         assert run.status == status

@@ -25,7 +25,7 @@ def replay(case: Case, events: Sequence[Event], time_s: np.ndarray, step_s: floa
     settings = Plant(
         case=case.network,
         groups=(),
-        control_dt=ROW_S,
+        interval_s=ROW_S,
         simulation_dt=step_s,
         protection=ProtectionParameters(frequency_min_pu=0.5),
         limits=ConverterLimitParameters() if splits else None,
@@ -48,7 +48,7 @@ def replay(case: Case, events: Sequence[Event], time_s: np.ndarray, step_s: floa
 def sampled(simulator: Simulator, time_s: np.ndarray, look: Callable[[Simulator], np.ndarray]) -> list[np.ndarray]:
     """Return what is seen of a running simulator at some multiples of its control interval [s]."""
     seen, interval = [], 0
-    for wanted in np.round(time_s / simulator.settings.control_dt).astype(int):
+    for wanted in np.round(time_s / simulator.settings.interval_s).astype(int):
         for _ in range(wanted - interval):
             simulator.advance()
         interval = wanted

@@ -86,7 +86,7 @@ def held_groups(name: str, power_mw: float, **more) -> Simulator:
             droop_gain_pu=units["2a"].damping_pu,
             reactance_pu=units["2a"].x_d_transient,
         ),
-        control_dt=ROW_S,
+        interval_s=ROW_S,
         simulation_dt=ROW_S / 20.0,
         **more,
     )

@@ -394,7 +394,7 @@ def case_of(tape: Tape, scale: float) -> tuple[list[sc.Scenario], np.ndarray, li
     actions = actions_of(tape, 200, scale)
     at = trips(tape, scenarios, actions)
     plant = tape.batch.simulator.settings
-    last = [(step + 1) * plant.control_dt - plant.simulation_dt for step in at]
+    last = [(step + 1) * plant.interval_s - plant.simulation_dt for step in at]
     buses = [machine.bus for machine in plant.case.machines if machine.governor is not None]
     further = ((), (sc.GovernorLoss(time_s=last[1], bus=buses[0]),), (sc.GroupTrip(time_s=last[2], group=1),))
     scenarios = [

@@ -69,7 +69,7 @@ def started(settings: Plant, what: Scenario, law: str = LAW, duration_s: float =
 def recorded(simulator: Simulator, seconds: float, *names: str, act=None) -> dict[str, np.ndarray]:
     """Numbers of the groups at the end of every control interval, until the run ends, and the frequency "coi"."""
     result = {name: [] for name in ("coi", *names)}
-    for interval in range(round(seconds / simulator.settings.control_dt)):
+    for interval in range(round(seconds / simulator.settings.interval_s)):
         if act is not None:
             simulator.blocks[0, simulator.layout.wtg("k_offset"), 0] = act(interval)
         simulator.advance()

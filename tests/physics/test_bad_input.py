@@ -125,7 +125,7 @@ RECORDS = [
     (of(TrackingLaw, tau_s=0.8), "unknown arguments of TrackingLaw .'tau_s'.; .*, damping_time_constant_s"),
     (lambda: group_laws(["mppt"] * 3, TURBINES), "one for each of the 2 groups, got 3"),
     (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),
-    (of(Plant, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
+    (of(Plant, simulation_dt=0.03), "interval_s = 0.1 s is not a whole number of simulation steps of 0.03 s"),
     *((of(Plant, secondary_time_s=time_s), "secondary_time_s") for time_s in (0.5, -30.0, 4000.0, NAN, "30")),
     (of(Plant, groups=(p.WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
     (of(Plant, control=p.GridFormingParameters(frequency_setpoint_pu=0.998)), "frequency_setpoint_pu must be 1 p.u."),

@@ -156,7 +156,7 @@ def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario_
         with pytest.raises(ValueError, match=r"scenario 'x', inertia_scale = 0.05: simulation_dt = 0.025 s"):
             simulator.prepare([light, lighter], PAIR)
     simulator.prepare([light], PAIR)
-    Simulator(Plant(simulation_dt=0.04, control_dt=0.2)).prepare([lighter], PAIR)
+    Simulator(Plant(simulation_dt=0.04, interval_s=0.2)).prepare([lighter], PAIR)
     Simulator(Plant(simulation_dt=0.05)).prepare([scenario()], PAIR)
 
 
@@ -207,10 +207,10 @@ def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator, shift)
 
 def test_load_noise_ends_with_its_series_at_every_control_interval():
     noisy = scenario(duration_s=2.0, load_noise_mw=np.array([0.0, 0.0, 40.0, 40.0]))
-    for control_dt in (0.05, 0.1, 0.2):
-        noise = started(Plant(control_dt=control_dt), noisy, duration_s=2.0).data.noise[0]
-        assert noise.sum() * control_dt == pytest.approx(2 * 40.0 * 0.1)
-        assert (noise[round(0.4 / control_dt) :] == 0.0).all()
+    for interval_s in (0.05, 0.1, 0.2):
+        noise = started(Plant(interval_s=interval_s), noisy, duration_s=2.0).data.noise[0]
+        assert noise.sum() * interval_s == pytest.approx(2 * 40.0 * 0.1)
+        assert (noise[round(0.4 / interval_s) :] == 0.0).all()
 
 
 def test_error_falls_with_the_fourth_power_of_the_step():
@@ -256,7 +256,7 @@ def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(mvar, abo
     capacitor = LoadStep(time_s=1.0, bus=2, power_mw=0.0, reactive_mvar=mvar)
     case, slow = get_grid("ieee14").case.classical(), parameters.VoltageControlParameters(integral_gain=0.01)
     result = recorded(
-        started(plant(control_dt=0.1, voltage=slow, case=case), scenario(capacitor)),
+        started(plant(interval_s=0.1, voltage=slow, case=case), scenario(capacitor)),
         30.0,
         *("terminal_voltage", "connected", "largest_voltage", "trip_cause"),
     )
@@ -273,7 +273,7 @@ def test_limits_are_held_and_left_without_wind_up(table, disturbance):
     # The hydro governor is slow: under more load the groups lose synchronism.
     load = extended.pulse(2, 160.0, until_s=5.0) if table else extended.pulse(2, 200.0, until_s=11.0)
     events = extended.fault() if disturbance == "fault" else load
-    settings = plant(table=table, control_dt=0.025, shedding=NO_SHEDDING)
+    settings = plant(table=table, interval_s=0.025, shedding=NO_SHEDDING)
     simulator = started(settings, scenario(*events, duration_s=180.0), duration_s=180.0)
     start = simulator.state()
     names = ("current", "limiting_reactance", "over_power", "under_power", "internal_voltage", "power")
@@ -295,7 +295,7 @@ def test_limits_are_held_and_left_without_wind_up(table, disturbance):
 
 
 def test_the_reactive_limit_takes_over_and_gives_back():
-    simulator = started(plant(control_dt=0.025), scenario(*extended.pulse(4, reactive_mvar=60.0, until_s=16.0)))
+    simulator = started(plant(interval_s=0.025), scenario(*extended.pulse(4, reactive_mvar=60.0, until_s=16.0)))
     before = simulator.wtg_values("reactive")[0]
     result = recorded(simulator, 60.0, "reactive", "terminal_voltage")["reactive"]
     assert before == pytest.approx([0.33, 0.33], abs=1e-9)

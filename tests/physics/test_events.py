@@ -107,7 +107,7 @@ def test_a_env_that_starts_again_has_all_its_units_and_governors(simulator):
 @pytest.mark.parametrize("impedance", [1e-4j, 0.02 + 0.05j])
 def test_during_a_fault_its_impedance_carries_all_that_flows_into_the_bus(impedance):
     what = sc.Fault(time_s=1.0, bus=4, clears_after_s=0.1, resistance_pu=impedance.real, reactance_pu=impedance.imag)
-    simulator = started(plant(control_dt=0.025), scenario(what))
+    simulator = started(plant(interval_s=0.025), scenario(what))
     recorded(simulator, 1.0)
     before = bus_matrix(simulator)
     simulator.advance()
@@ -176,7 +176,7 @@ def test_a_chopper_heats_by_what_it_burns_and_cools_and_a_group_with_a_full_one_
     limits = ConverterLimitParameters(chopper_energy_pu_s=0.015, chopper_cooling_s=5.0)
     # A loss of load: machines press power into the converter that gives least.
     pressed = (sc.LoadStep(time_s=1.0, bus=bus, power_mw=power) for bus, power in ((3, -130.0), (9, -50.0)))
-    simulator = started(plant(limits=limits, control_dt=0.025, shedding=NO_SHEDDING), scenario(*pressed))
+    simulator = started(plant(limits=limits, interval_s=0.025, shedding=NO_SHEDDING), scenario(*pressed))
     heat, burnt, fullest = np.zeros(2), np.zeros(2), np.zeros(2)
     for _ in range(1600):
         was = simulator.wtg_values("connected")[0]

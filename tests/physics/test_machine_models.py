@@ -300,7 +300,7 @@ def test_the_order_of_a_hydro_gate_keeps_within_its_rate_and_its_limits_and_leav
 
 def reference_and_speed(*events: Event, seconds: float, governor: GovernorParameters = GOVERNOR) -> np.ndarray:
     """Gate reference and speed of the generator, from the start on, after each step (2, n)."""
-    times = {"secondary_time_s": SECONDARY_S, "control_dt": DT, "simulation_dt": DT}
+    times = {"secondary_time_s": SECONDARY_S, "interval_s": DT, "simulation_dt": DT}
     simulator = Simulator(Plant(case=with_machine(governor=governor), groups=(), **times), duration_s=seconds)
     simulator.start(0, scenario(*events, wind=np.zeros((0, 1)), duration_s=seconds), ())
     result = []

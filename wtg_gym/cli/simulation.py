@@ -58,7 +58,7 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
         data["mean_wind_m_s"] = [round(float(mean), 6) for mean in scenario.wind_speed.mean(axis=1)]
         plant_data = {
             "groups": [dataclasses.asdict(group) for group in settings.groups],
-            "control_dt_s": settings.control_dt,
+            "control_dt_s": settings.interval_s,
             "simulation_dt_s": settings.simulation_dt,
             "on_failure": "trip" if settings.trips_groups else "terminate",
             "physics": "extended" if settings.extended else "paper",

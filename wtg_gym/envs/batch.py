@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings, as_scenario
-from wtg_gym.envs.stepping import N_INFO, Outputs, bind, log_score, pay, step_blocks, task_data
+from wtg_gym.envs.stepping import N_INFO, Outputs, bind, log_score, play_costs, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.layout import BatchData, Floats
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
@@ -74,7 +74,7 @@ class EnvBatch:
         self.n_wtg = len(plant.groups)
         self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
-        self.observation_names = [entry.name for entry in settings.task.entries(settings.choices)]
+        self.observation_names = [number.name for number in settings.task.observed_numbers(settings.choices)]
         self.info_names = (*observation.INFO_KEYS, *(observation.LocalInfo._fields if plant.extended else ()))
         self.n_observation = len(self.observation_names)
         self.simulator = Simulator(
@@ -221,7 +221,7 @@ class EnvBatch:
             for first in range(0, len(scenarios), self._reference.num_envs):
                 part = scenarios[first : first + self._reference.num_envs]
                 self._reference.start(range(len(part)), part)
-                self._reference.pay(outputs.reference[first : first + len(part)])
+                self._reference.play_costs(outputs.reference[first : first + len(part)])
             outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         seeds = np.array([-1 if scenario.seed is None else scenario.seed for scenario in scenarios], dtype=np.int64)
         margins = np.array([self.suite.margin(scenario, plant) for scenario in scenarios])
@@ -361,15 +361,15 @@ class EnvBatch:
             meanwhile()
 
     @undivided
-    def pay(self, paid: Floats) -> None:
+    def play_costs(self, costs: Floats) -> None:
         """Play episodes that have just been started without actions; write their costs up to each control step.
 
-        `paid` is (num_envs, n_steps + 1), of the first environments.
+        `costs` are (num_envs, n_steps + 1), of the first environments.
         """
         if self._bound is None:
             self._bind()
         bound, actions = self._bound, np.zeros((self.num_envs, self.n_action))
-        self.simulator.threads.run(lambda first, last, worker: pay(bound, actions, paid, first, last, worker))
+        self.simulator.threads.run(lambda first, last, worker: play_costs(bound, actions, costs, first, last, worker))
 
     @undivided
     def _bind(self) -> None:

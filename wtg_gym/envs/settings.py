@@ -11,7 +11,7 @@ from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE, Plant
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_LAW, TrackingLaw, group_laws
-from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
+from wtg_gym.ranges import did_you_mean, require_choice, require_known, require_range, whole_steps
 from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, Suite, draws, get_suite, suite_of_grid
 from wtg_gym.tasks import TASKS, Task, episode, observation
 from wtg_gym.tasks.cost import CostWeights
@@ -134,7 +134,7 @@ class EnvSettings:
     def resolved_plant(self) -> Plant:
         """The plant: the suite's with what `plant` replaces, or `plant` itself."""
         failure = self.on_failure or self.task.on_failure
-        arguments: dict[str, Any] = {"control_dt": self.interval_s, "trips_groups": failure == "trip"}
+        arguments: dict[str, Any] = {"interval_s": self.interval_s, "trips_groups": failure == "trip"}
         if self.groups is not None:
             arguments["groups"] = self.groups
         if isinstance(self.plant, Plant):
@@ -201,7 +201,8 @@ class EnvSettings:
         if self.sensors == "exact":
             return None
         if not isinstance(self.sensors, Mapping):
-            raise ValueError(f'sensors must be "exact" or a dictionary of names and values, got {self.sensors!r}')
+            near = did_you_mean(self.sensors, ["exact"])
+            raise ValueError(f'sensors must be "exact" or a dictionary of names and values, got {self.sensors!r}{near}')
         return (of_suite or draws.SensorDistribution()).replaced(self.sensors)
 
     def cost_weights(self) -> CostWeights:

@@ -93,7 +93,7 @@ class TaskData(NamedTuple):
     """Where the loops of the task find rows: in scratch up to `was_active`, then in blocks."""
 
     wanted: Whole  # actions (n_action,)
-    observed: Whole  # entries of the observation (n_observation,)
+    observed: Whole  # numbers of the observation (n_observation,)
     info: int  # the first of N_INFO
     was_active: int
     cost: int
@@ -111,7 +111,7 @@ def task_data(task: Task, choices: Choices, layout: Layout, n_intervals: int, po
     wanted = layout.first_rows(ACTING, "wanted")[:, np.newaxis] + np.arange(count(ACTING.scratch["wanted"]))
     return TaskData(
         wanted=wanted[:, modulated].ravel(),
-        observed=np.array([entry.row(layout) for entry in task.entries(choices)], dtype=np.int64),
+        observed=np.array([number.row(layout) for number in task.observed_numbers(choices)], dtype=np.int64),
         info=int(layout.first_rows(INFO, "info")[0]),
         was_active=int(layout.first_rows(TASK, "was_active")[0]),
         cost=int(layout.first_rows(COST, "cost")[0]),
@@ -175,8 +175,8 @@ def log_score(reference: float, cost: float, offset: float) -> float:
 
 
 @internal
-def _paid(block: Floats, x: int, task: TaskData) -> float:
-    """Return what the episode of an environment has cost up to now."""
+def _cost_of(block: Floats, x: int, task: TaskData) -> float:
+    """Return the cost of an environment's episode up to now."""
     cost = 0.0
     for k in range(_N_TERMS):
         cost += block[task.sums + k, x]
@@ -187,12 +187,12 @@ def _paid(block: Floats, x: int, task: TaskData) -> float:
 def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: Outputs) -> None:
     """Reward the environments of a block, from `first` on, with what their score has gained in a control step.
 
-    On the way gained = (C_ref - C) / (C_ref at the end + J0) of the costs C up to now: what a mistake costs does not
-    depend on what was paid before, which no sensor shows to a critic. At the end it is
+    On the way gained = (C_ref - C) / (C_ref at the end + J0) of the costs C up to now: a step's reward does not depend
+    on earlier costs, which a critic cannot observe. At the end it is
     :func:`log_score`, to which the former is close unless the costs differ much.
     """
     for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
-        env, cost = first + x, _paid(block, x, task)
+        env, cost = first + x, _cost_of(block, x, task)
         steps = math.ceil(block[task.step, x] / n_substeps) if block[task.active, x] > 0.5 else -1
         whole, offset = outputs.reference[env, -1], outputs.offsets[env]
         gained = (outputs.reference[env, steps] - cost) / (whole + offset)
@@ -272,15 +272,15 @@ def _step_blocks(
 
 
 @compiled
-def pay(bound: Any, actions: Floats, paid: Floats, first: int, last: int, worker: int) -> None:
+def play_costs(bound: Any, actions: Floats, costs: Floats, first: int, last: int, worker: int) -> None:
     """Play episodes of blocks first … last - 1 that have just been started, with the same actions (num_envs, n_action).
 
-    What each has cost up to every control step is written to `paid` (num_envs, n_steps + 1).
+    What each has cost up to every control step is written to `costs` (num_envs, n_steps + 1).
     """
     blocks, scratch, task = bound.blocks, bound.scratches[worker], bound.task
     of_all, width = (bound.network, bound.data, task, bound.outputs), blocks.shape[2]
-    for b in range(first, min(last, math.ceil(paid.shape[0] / width))):
-        for step in range(1, paid.shape[1]):
+    for b in range(first, min(last, math.ceil(costs.shape[0] / width))):
+        for step in range(1, costs.shape[1]):
             _step_blocks(blocks, scratch, of_all, actions, b, b + 1, False)
-            for x in range(min(width, paid.shape[0] - b * width)):
-                paid[b * width + x, step] = _paid(blocks[b], x, task)
+            for x in range(min(width, costs.shape[0] - b * width)):
+                costs[b * width + x, step] = _cost_of(blocks[b], x, task)

@@ -75,12 +75,12 @@ def frequencies(batch: EnvBatch, steps: Iterable[Any]) -> list[Floats]:
     return [course[: 1 + n] for course, n in zip(np.transpose(samples), batch.n_steps().tolist(), strict=True)]
 
 
-def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: float) -> float:
+def quasi_steady_deviation(frequency_hz: Floats, interval_s: float, nominal_hz: float) -> float:
     """Return the quasi-steady deviation of an episode that reached its end [Hz].
 
     The frequencies (n_steps + 1,) [Hz] are those of the start and after every control interval [s].
     """
-    n_window = max(1, min(round(STEADY_WINDOW_S / control_dt), frequency_hz.size - 1))
+    n_window = max(1, min(round(STEADY_WINDOW_S / interval_s), frequency_hz.size - 1))
     return math.fsum(frequency_hz[-n_window:].tolist()) / n_window - nominal_hz
 
 

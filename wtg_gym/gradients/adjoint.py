@@ -1,9 +1,9 @@
 """Back through one control step: play it again on a tape, then pull cotangents back through its programs in turn.
 
 The programs are those of the step (:mod:`wtg_gym.physics.step`, and a task's), the right-hand side in three
-parts: flows, the sweeps that hold currents, motion. Two parts of a step are not systems, and have their rule
-here: the fixed point of the sweeps, and a governor that an event takes away. Discrete events and the ends of runs do
-not move.
+parts: flows, the sweeps that hold currents, motion. Two parts of a step are differentiated by hand: the
+fixed point of the sweeps, and a governor that an event takes away. The times of events and of a run's end count as
+constant.
 """
 
 import functools
@@ -28,10 +28,24 @@ from wtg_gym.systems.systems import Kind, count
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
 from wtg_gym.tasks import V1, Task
 
-#: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
-#: environment's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
+#: The way back through the sweeps that hold currents ends where no cotangent changes by more than `_SETTLED` of the
+#: environment's largest. About thirty suffice; an environment that has not settled after `_SWEEPS` gets NaN.
 _SWEEPS = 1000
 _SETTLED = 1e-13
+
+
+class Noted(NamedTuple):
+    """Rows that each program notes on the tape in one run, in the order of :func:`programs_of`."""
+
+    acted: int
+    flows: int
+    sweep: int
+    motion: int
+    rates: int
+    finished: int
+    charged: int
+    measured: int
+    observed: int
 
 
 @functools.cache
@@ -56,10 +70,10 @@ def programs_of(task: Task) -> tuple[Program, ...]:
 
 # Every task has its programs at the same places.
 _PROGRAMS = programs_of(V1)
-#: How many of them have a way back, in the order of :class:`Noted`.
-N_TAPED = 9
+#: How many of them have a way back.
+N_TAPED = len(Noted._fields)
 _TAPED = _PROGRAMS[:N_TAPED]
-_sweep, _limits, _rest = _PROGRAMS[2], *_PROGRAMS[N_TAPED:]
+_sweep, (_limits, _rest) = _TAPED[Noted._fields.index("sweep")], _PROGRAMS[N_TAPED:]
 _FORWARD = {
     program.name: Routine(program, writer)
     for programs, writer in ((_TAPED, TapedWriter), ((_sweep,), NotingWriter), ((_limits, _rest), Writer))
@@ -79,20 +93,6 @@ _moved_back, _charge_back, _measure_back, _observe_back = _ending_back
 def routines_of(*, constants: bool) -> tuple[Routine, ...]:
     """Return the routines of :func:`pull`; with cotangents of constants or without."""
     return (*_FORWARD.values(), *(_WITH if constants else _WITHOUT))
-
-
-class Noted(NamedTuple):
-    """Rows that each program notes on the tape in one run."""
-
-    acted: int
-    flows: int
-    sweep: int
-    motion: int
-    rates: int
-    finished: int
-    charged: int
-    measured: int
-    observed: int
 
 
 class Rules(NamedTuple):

@@ -9,6 +9,7 @@ import numpy as np
 from wtg_gym.physics.layout import Floats, Layout, Whole, rows_of_envs
 from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters
 from wtg_gym.physics.plant import Plant, plant_tables
+from wtg_gym.ranges import did_you_mean
 
 #: Fields of the parameter classes that act on a run, and neither on the equilibrium it starts from nor on a law.
 _OF_MACHINES = {
@@ -92,7 +93,7 @@ def require_known_parameters(plant: Plant, names: Iterable[str]) -> None:
     if unknown := sorted(set(names) - set(known)):
         raise ValueError(
             f"unknown parameters {unknown}: gradients are not known for those that move the equilibrium before a run; "
-            f"known: {', '.join(known)}"
+            f"known: {', '.join(known)}{did_you_mean(unknown[0], known)}"
         )
 
 

@@ -36,7 +36,7 @@ EVALUATING = tuple(map(Routine, (_ADMITTANCES, _FIND, _RATES)))
 STEPPING = (*EVALUATING, *map(Routine, (_FINISH, _PROTECT)), _FIRST, _MIDDLE, _LAST)
 STARTING = (*EVALUATING, *map(Routine, _STARTING))
 combine_load_noise, find, find_rates, finish, protect, move_first, move_middle, move_last = (r.call for r in STEPPING)
-plan, balance, release, settle, start = (routine.call for routine in STARTING[3:])
+plan, balance, release, settle, start = (routine.call for routine in STARTING[len(EVALUATING) :])
 #: Stages of a step of the classical Runge-Kutta method.
 N_STAGES = 4
 REFRESH = Function(refresh_network, 0)
@@ -52,11 +52,11 @@ def _enter_interval(block: Floats, first_env: int, network: Network, data: Batch
     last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
     for x in range(block.shape[1]):
         index = int(env[OF_ENV.step, x]) // facts.n_substeps
-        begin, end = index if index < last else last, index + 1 if index < last else last
+        begin, end = min(index, last), min(index + 1, last)
         for j in range(data.wind.shape[1]):
             groups[j, _WIND_START, x] = data.wind[first_env + x, j, begin]
             groups[j, _WIND_END, x] = data.wind[first_env + x, j, end]
-        noise = data.noise[first_env + x, index if index < last_noise else last_noise]
+        noise = data.noise[first_env + x, min(index, last_noise)]
         env[OF_ENV.noise_y, x] = noise * env[OF_ENV.noise_per_mw, x]
 
 

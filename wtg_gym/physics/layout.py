@@ -215,7 +215,7 @@ class Facts(NamedTuple):
     is_large: bool  # whether the power flow is solved by sparse elimination
     curtails: bool  # whether WTG groups alone balance the power
     shifts_phases: bool  # whether a branch does, so that the admittance matrix is not symmetric
-    shares_frequency: float  # change of a load's conductance with the frequency [p.u./p.u.]
+    load_frequency_dependence: float  # change of a load's conductance with the frequency [p.u./p.u.]
     # In a block:
     env: Span = Span()
     machines: Span = Span()

@@ -1,4 +1,4 @@
-"""From parameters to what compiled functions read."""
+"""`Plant`, the description of a plant, and `PlantTables`, its constants as compiled functions read them."""
 
 import dataclasses
 import functools
@@ -58,7 +58,7 @@ class Plant(Checked):
     #: Whether machines with a governor share the initial load by rating and largest gate (1 p.u. at most), instead of
     #: their `dispatch_mw`.
     shares_dispatch: bool = False
-    control_dt: float = 0.1  # control interval, a whole number of simulation steps [s]
+    interval_s: float = 0.1  # control interval, in which inputs hold: a whole number of simulation steps [s]
     #: Step of the integration [s]; a simulator refuses one that is too long for the plant's fastest mode.
     simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
     trips_groups: bool = False  # whether the failure of a rotor disconnects its group instead of ending the run
@@ -71,8 +71,8 @@ class Plant(Checked):
         super().__post_init__()
         if self.secondary_time_s:
             require_range("secondary_time_s", self.secondary_time_s, 1.0, 3600.0, "s")
-        require_range("control_dt", self.control_dt, self.simulation_dt, 10.0, "s")
-        whole_steps("control_dt", self.control_dt, self.simulation_dt, "simulation step")
+        require_range("interval_s", self.interval_s, self.simulation_dt, 10.0, "s")
+        whole_steps("interval_s", self.interval_s, self.simulation_dt, "simulation step")
         for group in self.groups:
             self.case.bus_index(group.bus)
         at_slack = any(group.bus == self.case.slack_bus for group in self.groups)
@@ -262,10 +262,11 @@ def plant_tables(settings: Plant) -> PlantTables:
         )
         for bus in case.buses
     ]
-    network = _network_of(settings, 1.0 / np.array(impedances, dtype=np.complex128), bool(participation.any()))
+    unit_y = 1.0 / np.array(impedances, dtype=np.complex128)
+    network, bus_y = _network_of(settings, unit_y, bool(participation.any()))
     return PlantTables(
         network=network,
-        bus_y=assemble_admittance(network.branch_ends, network.branch_y, network.shunts),
+        bus_y=bus_y,
         machines=structured(Machine, machines),
         dispatch=np.where(participation > 0.0, 0.0, [m.dispatch_mw / base for m in case.machines]),
         participation=participation,
@@ -298,8 +299,8 @@ def power_at_gate_mw(machine: machine_parameters.SynchronousMachineParameters) -
     return machine.rating_mva * min(gate_limits(machine.governor)[1], 1.0) if machine.governor is not None else 0.0
 
 
-def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Network:
-    """Return what compiled functions read of a plant, from the internal admittances of its units on [p.u.]."""
+def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> tuple[Network, Complex]:
+    """Return what compiled functions read of a plant, from its units' admittances, and the bus matrix [p.u.]."""
     case, base = settings.case, settings.case.base_mva
     ends = [(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus)) for branch in case.branches]
     branch_ends, branch_y = np.array(ends, dtype=np.int64).reshape(-1, 2), branch_admittances(case.branches)
@@ -310,14 +311,14 @@ def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Netw
         slack=case.bus_index(case.slack_bus),
         base_mva=base,
         simulation_dt=settings.simulation_dt,
-        n_substeps=whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
+        n_substeps=whole_steps("interval_s", settings.interval_s, settings.simulation_dt, "simulation step"),
         n_balances=_BALANCES if shares_dispatch else 0,
         is_large=is_large,
         curtails=bool(settings.groups) and not case.balanced,
         shifts_phases=any(branch.phase_rad != 0.0 for branch in case.branches),
-        shares_frequency=settings.load_frequency_dependence,
+        load_frequency_dependence=settings.load_frequency_dependence,
     )
-    return Network(
+    network = Network(
         facts=facts,
         branch_ends=branch_ends,
         branch_y=branch_y,
@@ -331,6 +332,7 @@ def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Netw
         shed_shares=np.array([stage.share for stage in settings.shedding], dtype=np.float64),
         code=Code(),
     )
+    return network, bus_y
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -446,7 +448,7 @@ def _joined(
 
 
 class PlantMap:
-    """A plant with its layout, as the table of programs asks for it."""
+    """What :func:`~wtg_gym.systems.programs.link` asks of a plant and its layout, a `MemoryMap`."""
 
     def __init__(self, plant: PlantTables, layout: Layout, task: TaskUnits) -> None:
         self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen

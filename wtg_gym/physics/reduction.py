@@ -71,7 +71,7 @@ def refresh_network(block: Floats, x: int, env: int, network: Network, data: Bat
         opens_lines |= events[e].branch >= 0
         following = min(following, _next_change(events[e], step, facts))
         _strike(events[e], step, rows, network)
-    if facts.shares_frequency > 0.0:
+    if facts.load_frequency_dependence > 0.0:
         following = min(following, _next_interval(step, facts))
     rows.env[OF_ENV.last_change], rows.env[OF_ENV.next_change] = step, following
     if facts.islands.n_units > 1 and opens_lines:
@@ -314,9 +314,9 @@ def _add_branches(y: Complex, step: float, network: Network, events: Any) -> Non
 def _load_of(bus: Floats, rows: _Rows, facts: Facts) -> complex:
     """Return the admittance of a bus's load, before shedding [p.u.]."""
     load = complex(bus[_OF_BUS.load], bus[_OF_BUS.load + 1])
-    if facts.shares_frequency > 0.0:
+    if facts.load_frequency_dependence > 0.0:
         deviation = rows.islands[max(int(bus[_OF_BUS.island]), 0), _OF_ISLAND.centre] - 1.0
-        load = complex(load.real * (1.0 + facts.shares_frequency * deviation), load.imag)
+        load = complex(load.real * (1.0 + facts.load_frequency_dependence * deviation), load.imag)
     return load
 
 

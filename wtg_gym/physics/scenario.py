@@ -16,7 +16,7 @@ import numpy as np
 from wtg_gym.files import parse_json
 from wtg_gym.physics.parameters import MOST_GROUPS
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.ranges import Checked, design, require_count, require_items, require_known, required
+from wtg_gym.ranges import Checked, design, did_you_mean, require_count, require_items, require_known, required
 from wtg_gym.systems.programs import Floats
 
 R = TypeVar("R")
@@ -379,7 +379,8 @@ def _known(record: Any, data: Any, what: str) -> dict[str, Any]:
 def _event_from_dict(data: Any) -> Event:
     kind = data.get("kind") if isinstance(data, dict) else None
     if not isinstance(kind, str) or kind not in EVENT_KINDS:
-        raise ValueError(f"an event needs a kind out of {', '.join(EVENT_KINDS)}, got {data!r:.80}")
+        near = did_you_mean(kind, EVENT_KINDS) if kind else ""
+        raise ValueError(f"an event needs a kind out of {', '.join(EVENT_KINDS)}, got {data!r:.80}{near}")
     fields = {key: value for key, value in data.items() if key != "kind"}
     event: Event = EVENT_KINDS[kind](**_known(EVENT_KINDS[kind], fields, kind))
     return event

@@ -3,8 +3,8 @@
     f̂ += a_f (f - f̂),    a = 1 - exp(-Δt / T)         frequency and its rate of change pass a low-pass filter
     v̂ = v (1 + b + σ_v n),    n += (φ - 1) n + √(1 - φ²) ξ     the wind has a constant error b and a slow one
 
-Each measurement has white noise σ ξ, drawn anew at every control step, and reaches the controller some steps late. A
-number ξ is a function of the seed, the step and the channel alone: the sum of four uniform ones, so |ξ| < 3.47.
+Each measurement has white noise σ ξ, drawn anew in every control interval, and reaches the controller some intervals
+late. A number ξ is a function of the seed, the step and the channel alone: the sum of four uniform ones, so |ξ| < 3.47.
 """
 
 import math
@@ -91,12 +91,12 @@ class Measurement(NamedTuple):
     wind: float  # [m/s]
 
 
-def delay_intervals(delay_s: float, control_dt: float) -> int:
+def delay_intervals(delay_s: float, interval_s: float) -> int:
     """Return a delay in control intervals; a ValueError if it is not a whole number of them."""
-    return whole_steps("delay_s of the sensors", delay_s, control_dt, "control step")
+    return whole_steps("delay_s of the sensors", delay_s, interval_s, "control interval")
 
 
-def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) -> SensorInput:
+def sensor_input(sensors: Sensors | None, interval_s: float, nominal_hz: float) -> SensorInput:
     """Return the constants of a run's sensors; None gives exact measurements without delay.
 
     A ValueError says that the delay is not a whole number of control intervals.
@@ -105,11 +105,11 @@ def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) 
         return SensorInput(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     def gain(time_constant: float) -> float:
-        return 1.0 if time_constant == 0.0 else -math.expm1(-control_dt / time_constant)
+        return 1.0 if time_constant == 0.0 else -math.expm1(-interval_s / time_constant)
 
     return SensorInput(
         seed=float(sensors.seed),
-        delay=float(delay_intervals(sensors.delay_s, control_dt)),
+        delay=float(delay_intervals(sensors.delay_s, interval_s)),
         frequency_gain=gain(sensors.frequency_filter_s),
         rocof_gain=gain(sensors.rocof_filter_s),
         frequency_noise=sensors.frequency_noise_hz / nominal_hz,
@@ -117,7 +117,7 @@ def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) 
         rotor_speed_noise=sensors.rotor_speed_noise_pu,
         power_noise=sensors.power_noise_pu,
         wind_noise=sensors.wind_noise,
-        wind_persistence=math.exp(-control_dt / sensors.wind_noise_correlation_s),
+        wind_persistence=math.exp(-interval_s / sensors.wind_noise_correlation_s),
         wind_sensor=float(sensors.wind_sensor),
     )
 
@@ -133,7 +133,7 @@ def sensors_started(exact: Measurement, noise: Noise) -> SensorState:
 
 
 def sensors_advanced(s: SensorState, exact: Measurement, noise: Noise, u: SensorInput) -> SensorState:
-    """Return the states one control step later."""
+    """Return the states one control interval later."""
     innovation = math.sqrt(1.0 - u.wind_persistence * u.wind_persistence)
     return SensorState(
         frequency=s.frequency + u.frequency_gain * (exact.frequency - s.frequency),

@@ -168,8 +168,8 @@ class Simulator:
         self.settings = settings
         self.plant, self.layout = placed(settings, task)
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
-        self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
-        samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
+        self.n_intervals = whole_steps("duration_s", duration_s, settings.interval_s, "control interval")
+        samples = np.arange(self.n_intervals) * settings.interval_s / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
         self._law_rows = np.stack([self.layout.wtg(name) for name in _OF_LAW])
         self._committed_rows = np.stack([self.layout.rows_of(UNITS, name) for name in ("committed", "inv_committed")])
@@ -234,7 +234,7 @@ class Simulator:
             nominal = Scenario(
                 name=f"{equilibrium.NOMINAL}{wind:g} m/s and nominal load",
                 wind_speed=np.full((self.layout.n_wtg, 1), wind),
-                duration_s=self.n_intervals * self.settings.control_dt,
+                duration_s=self.n_intervals * self.settings.interval_s,
                 load_noise_bus=self.settings.case.slack_bus,
                 inertia_scale=inertia_scale,
                 committed=committed,
@@ -365,7 +365,7 @@ class Simulator:
         events[index, :n_events] = prepared.data.events[places]
 
     def _write_series(self, data: BatchData, env: int, scenario: Scenario) -> None:
-        dt, n = self.settings.control_dt, self.n_intervals
+        dt, n = self.settings.interval_s, self.n_intervals
         if scenario.duration_s > n * dt * (1.0 + 1e-9):
             raise ValueError(
                 f"scenario {scenario.name!r} lasts {scenario.duration_s:g} s, longer than the {n * dt:g} s held here; "

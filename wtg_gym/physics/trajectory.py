@@ -90,7 +90,7 @@ def record(simulator: Simulator, advance: Callable[[int], Any]) -> dict[str, Any
         advance(interval)
         samples.append(_sample(simulator))
     grid, groups, machines, buses, terminals, voltages = (np.array(column) for column in zip(*samples, strict=True))
-    nominal, time = settings.case.frequency_hz, np.arange(len(grid), dtype=np.float64) * settings.control_dt
+    nominal, time = settings.case.frequency_hz, np.arange(len(grid), dtype=np.float64) * settings.interval_s
     status = protection.Status(int(simulator.env_values("status")[0]))
     if status != protection.Status.RUNNING:
         # A protection may act within a control interval.

@@ -54,7 +54,7 @@ class Suite:
     grid: str = DEFAULT_GRID  # name of its grid, or path of the grid's file
     plant: Plant = field(default_factory=Plant)  # the grid with its machines, turbines and physics
     plant_data: Mapping[str, Any] = field(default_factory=dict)  # what its hash holds of the plant in versions after v0
-    described: Plant | None = None  # the plant that this describes: of another one the hash holds everything
+    described: Plant | None = None  # the plant that `plant_data` describes; of any other the hash takes everything
     sensors: SensorDistribution | None = None  # of the measurements' errors; None for exact measurements
     #: Distributions of its scenarios by the name of their stratum, "" where there is only one. The first of n strata
     #: has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
@@ -105,13 +105,13 @@ class Suite:
         return self.strata[seed % len(self.strata)] if self.strata else ""
 
     def margin(self, scenario: Scenario, plant: Plant | None = None) -> float:
-        """Return the margin that a scenario was drawn with, else that in a plant; NaN where strata do not follow it."""
+        """Return the margin that a scenario was drawn with, else compute it; NaN in a suite without margins."""
         if not self.margins:
             return math.nan
         return self._margins_in(plant).of(scenario) if scenario.reserve_margin is None else scenario.reserve_margin
 
     def _margins_in(self, plant: Plant | None) -> ReserveMargin:
-        """Return what finds margins: in the suite's plant, whatever is changed but its groups and buses."""
+        """Return what computes margins: in the suite's plant, or in `plant` if its groups or buses differ."""
         base = self.plant
         is_other = plant and (plant.groups, plant.case.bus_numbers) != (base.groups, base.case.bus_numbers)
         return ReserveMargin(plant) if plant and is_other else self._usual_margins

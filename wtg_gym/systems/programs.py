@@ -19,8 +19,8 @@ from wtg_gym.systems.systems import Kind, Place, System, constants_of, count, fl
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 Complex = npt.NDArray[np.complex128]
-#: Numbers in the head of the rows for each entry: how many units, the places of its first row and its first constant,
-#: and of its first row on the program's tape.
+#: Columns of the head of `Code.rows`, which has a line for each entry: number of units; index of its first row, of its
+#: first constant, of its first row on the tape.
 HEAD = 4
 #: Entries of a program, at most.
 _MOST = 40
@@ -80,7 +80,7 @@ class Repeat(_Flagged):
 
 
 class Here(NamedTuple):
-    """Where the systems of devices join a list, by the name that they call the place."""
+    """Marks where systems of devices, or of optional controls, are inserted."""
 
     name: StrEnum
 
@@ -306,10 +306,10 @@ def _constants_of(system: System, plant: MemoryMap, n: int, numbers: list[float]
 
 
 def unconditional(entries: Sequence[Any]) -> tuple[Any, ...]:
-    """Return entries where what runs under a condition runs always; for systems that change nothing without it."""
+    """Replace each `When` by its entries, for systems that do nothing where its condition fails."""
     return tuple(inner for entry in entries for inner in (entry.entries if isinstance(entry, When) else (entry,)))
 
 
 def numbered(*before: Program, **entries: Sequence[Any]) -> tuple[Program, ...]:
-    """Return programs by their names, numbered behind those before them; plants link them together."""
+    """Return programs by their names, numbered on from `before`; a plant links them together."""
     return tuple(Program(name, part, i) for i, (name, part) in enumerate(entries.items(), start=len(before)))

@@ -46,6 +46,8 @@ class Routine:
     """
 
     def __init__(self, program: Program, writer: type[Writer] = Writer, variant: int = 0, **known: float) -> None:
+        if not 0 <= variant < _VARIANTS:
+            raise ValueError(f"variant of {program.name} must be 0 … {_VARIANTS - 1}, got {variant}")
         self.program, self.variant, self._writer, self._known = program, variant, writer, known
         self._at = _FUNCTIONS + 2 * (program.number * _VARIANTS + variant)
         self.call = _call(self._at, writer.n_arrays)
@@ -91,11 +93,10 @@ class Routine:
         width = stacks[0].shape[2]
         if width not in (1, WIDE) or any(stack.shape[2] != width for stack in stacks):
             raise ValueError(f"arrays must have 1 or {WIDE} columns each, got {[array.shape for array in arrays]}")
-        if code.addresses.size:
-            address = int(code.addresses[self._at :][:2].sum() and code.addresses[self._at + (width > 1)])
-        else:
+        at = self._at + (width > 1)
+        if not code.addresses.size:
             address = self.address(self.program, width)
-        if not address:
+        elif at >= code.addresses.size or not (address := int(code.addresses[at])):
             raise ValueError(f"there is no code of {self.program.name!r} for blocks of {width}")
         argument_types = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
         function = ctypes.CFUNCTYPE(None, *argument_types)(address)
@@ -198,6 +199,8 @@ class Function:
     """
 
     def __init__(self, function: Any, place: int, result: Any = None) -> None:
+        if not 0 <= place < _FUNCTIONS:
+            raise ValueError(f"place of {function.__name__} must be 0 … {_FUNCTIONS - 1}, got {place}")
         self.function, self.place = function, place
 
         @intrinsic

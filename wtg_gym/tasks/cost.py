@@ -105,7 +105,7 @@ class GroupDeviations(NamedTuple):
     overload: float  # power beyond the converter's limit, 0.1 p.u.
     available: float
     charged: float  # the duty that is charged, in v1 filtered
-    there: float  # 0 for a group that an event has disconnected, else 1
+    connected: float  # 0 for a group that an event has disconnected, else 1
 
 
 class IntervalCost(NamedTuple):
@@ -185,7 +185,7 @@ def charge_frequency(
     # A run can end within the interval: the time after that is the failure's.
     unspent = math.ceil(step / task.n_substeps) * task.n_substeps - step
     violated = select(deviation * task.nominal_hz > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0)
-    return rates, IntervalCost(task.control_dt - unspent * simulation_dt, violated, 0.0)
+    return rates, IntervalCost(task.interval_s - unspent * simulation_dt, violated, 0.0)
 
 
 @system(COST, "largest_deviation")
@@ -217,9 +217,9 @@ def _deviations(
 ) -> GroupDeviations:
     """Return the deviations of a WTG group.
 
-    The prescribed power is a share of the usable power. Usable is the available power, up to that of which a rotor with
-    its nominal reserve captures as much as the pitch protection allows. A group that a protection has tripped captures
-    nothing and is charged for it.
+    The prescribed power is a share of the usable power: the available power, at most that of which a rotor with its
+    nominal reserve captures what the pitch protection allows, P_limit / share_nominal. A group that a protection has
+    tripped captures nothing and is charged for it.
     """
     wind = output.wind
     available = turbine.rotor.available_per_cubic_wind * wind * wind * wind
@@ -235,7 +235,7 @@ def _deviations(
     duty = (output.captured - prescribed) / (0.05 * available)
     rotor = max(0.0, max(low, high)) / (0.1 * best)
     overload = max(0.0, output.power - turbine.converter.overload_limit) / 0.1
-    return GroupDeviations(duty, rotor, overload, available, charged=duty, there=1.0)
+    return GroupDeviations(duty, rotor, overload, available, charged=duty, connected=1.0)
 
 
 @system(GROUP_COST, "deviations")
@@ -261,14 +261,14 @@ def filter_duty(
     was_active: float,
     task: TaskConstants,
 ) -> tuple[GroupDeviations, float]:
-    """Charge the duty behind its filter, and a group that an event has disconnected nothing.
+    """Charge the filtered duty; a group that an event has disconnected is charged nothing.
 
     An interval that ends early counts as a whole one.
     """
-    there = select(step <= leaves_at, 1.0, 0.0)
-    exempt: GroupDeviations = each(lambda deviation: there * deviation, deviations)
-    duty = there * (mean_duty + select(was_active > 0.5, task.duty_gain, 0.0) * (exempt.duty - mean_duty))
-    return exempt._replace(charged=duty, there=there), duty
+    connected = select(step <= leaves_at, 1.0, 0.0)
+    exempt: GroupDeviations = each(lambda deviation: connected * deviation, deviations)
+    duty = connected * (mean_duty + select(was_active > 0.5, task.duty_gain, 0.0) * (exempt.duty - mean_duty))
+    return exempt._replace(charged=duty, connected=connected), duty
 
 
 @system(GROUP_COST, "term_rates", "interval_cost", "available_energy")
@@ -283,13 +283,13 @@ def charge_group(
     task: TaskConstants,
     weights: CostWeights,
 ) -> tuple[CostTerms, IntervalCost, float]:
-    """Add the rates of a WTG group to those of the environment; actions of one that is not there cost nothing.
+    """Add the rates of a WTG group to those of the environment; actions of one that is disconnected cost nothing.
 
     The cost of duty is quadratic within one unit, linear outside (Huber).
     """
     d, w, n_wtg, size = deviations, weights, task.n_groups, abs(deviations.charged)
-    on_k = d.there * w.effort * _effort(group.action_k, group.last_action_k) / task.n_actions
-    on_tau = d.there * w.effort * _effort(group.action_tau, group.last_action_tau) / task.n_actions
+    on_k = d.connected * w.effort * _effort(group.action_k, group.last_action_k) / task.n_actions
+    on_tau = d.connected * w.effort * _effort(group.action_tau, group.last_action_tau) / task.n_actions
     acted = term_rates.effort + select(task.modulates_k, on_k, 0.0)
     rates = term_rates._replace(
         duty=term_rates.duty + w.duty * select(size < 1.0, size * size, 2.0 * size - 1.0) / n_wtg,
@@ -319,7 +319,7 @@ def charge_interval(
 
 
 @system(COST, "new_terms")
-def charge_open_interval(
+def charge_interval_partly_capped(
     term_rates: CostTerms,
     sums: CostTerms,
     elapsed: float,

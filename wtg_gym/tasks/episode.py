@@ -21,9 +21,9 @@ TIME_CONSTANT_RATIO = 4.0
 ROCOF_WINDOW_S = 0.5
 
 
-def rocof_window(control_dt: float) -> int:
+def rocof_window(interval_s: float) -> int:
     """Return the RoCoF window in control intervals, at least one."""
-    return max(1, round(ROCOF_WINDOW_S / control_dt))
+    return max(1, round(ROCOF_WINDOW_S / interval_s))
 
 
 class TaskConstants(NamedTuple):
@@ -34,7 +34,7 @@ class TaskConstants(NamedTuple):
     share_min: float  # share of the usable power to capture at ω_min, ω_st, ω_max
     share_nominal: float
     share_max: float
-    control_dt: float  # [s]
+    interval_s: float  # [s]
     nominal_hz: float
     inv_load: float  # 1 / load of the case [1/p.u.]
     n_window: int  # of the RoCoF, in control intervals
@@ -157,7 +157,7 @@ def rate_of_change(
     """Put the new frequency into the history, and find its rate of change over the window [Hz/s]."""
     ran = was_active > 0.5
     change = (coi - oldest_frequency) * task.nominal_hz
-    new = select(ran, change / (task.n_window * task.control_dt), task_rocof)
+    new = select(ran, change / (task.n_window * task.interval_s), task_rocof)
     return select(ran, coi, newest_frequency), new, max(largest_rocof, abs(new))
 
 
@@ -166,7 +166,7 @@ def remember_group(
     group: GroupRows, state: WtgState, output: WtgOutput, was_active: float, task: TaskConstants
 ) -> GroupRows:
     ran, speed = was_active > 0.5, frequency_of(state, output)
-    change = (speed - group.last_speed) / task.control_dt
+    change = (speed - group.last_speed) / task.interval_s
     return group._replace(
         last_speed=select(ran, speed, group.last_speed),
         rocof=select(ran, change * task.nominal_hz, group.rocof),

@@ -1,4 +1,4 @@
-"""The sensors: measurements are taken after every control interval, kept for a while, and shown some steps late.
+"""The sensors: measurements are taken after every control interval, kept for a while, and shown some intervals late.
 
 The equations of the sensors stand in :mod:`wtg_gym.physics.sensors`.
 """

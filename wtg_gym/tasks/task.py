@@ -35,8 +35,8 @@ class Choices(NamedTuple):
     privileged: bool
 
 
-class Entry(NamedTuple):
-    """An entry of an observation: a number of a record of one unit."""
+class ObservedNumber(NamedTuple):
+    """A number of an observation, of a record of one unit."""
 
     name: str  # with the unit of measurement that it is counted in
     kind: systems.Kind
@@ -155,9 +155,9 @@ class Task:
     def units(self, choices: Choices) -> TaskUnits:
         """Return the task's kinds of unit and programs, as a simulator takes them."""
         plant, sensors = choices.plant, int(self.has_sensors)
-        n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), episode.rocof_window(plant.control_dt)
+        n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), episode.rocof_window(plant.interval_s)
         # As many as the longest delay needs.
-        n_kept = math.ceil(DELAY_MAX_S / plant.control_dt - 1e-9) + 1
+        n_kept = math.ceil(DELAY_MAX_S / plant.interval_s - 1e-9) + 1
         kept = np.arange(n_wtg * sensors * n_kept)
         older, newer = (kept.reshape(-1, n_kept)[:, columns].ravel() for columns in (slice(-1), slice(1, None)))
         modulated = dict(zip(("modulates k", "modulates tau"), episode.ACTION_MODES[choices.action_mode], strict=True))
@@ -216,46 +216,46 @@ class Task:
     def _constants(self, choices: Choices) -> episode.TaskConstants:
         plant = choices.plant
         modulates_k, modulates_tau = episode.ACTION_MODES[choices.action_mode]
-        n_wtg, control_dt = len(plant.groups), plant.control_dt
+        n_wtg, interval_s = len(plant.groups), plant.interval_s
         return episode.TaskConstants(
             modulates_k=modulates_k,
             modulates_tau=modulates_tau,
             share_min=1.0,
             share_nominal=1.0 - plant.control.deloading_nominal,
             share_max=1.0 - plant.control.deloading_limit,
-            control_dt=control_dt,
+            interval_s=interval_s,
             nominal_hz=plant.case.frequency_hz,
             inv_load=plant.case.base_mva / max(plant.case.load_mw, 1e-6),
-            n_window=episode.rocof_window(control_dt),
+            n_window=episode.rocof_window(interval_s),
             n_groups=n_wtg,
             n_actions=n_wtg * (modulates_k + modulates_tau),
-            n_substeps=round(control_dt / plant.simulation_dt),
-            duty_gain=-math.expm1(-control_dt / self.duty_time_s) if self.duty_time_s > 0.0 else 1.0,
+            n_substeps=round(interval_s / plant.simulation_dt),
+            duty_gain=-math.expm1(-interval_s / self.duty_time_s) if self.duty_time_s > 0.0 else 1.0,
             tau_authority=self.tau_authority,
         )
 
-    def entries(self, choices: Choices) -> list[Entry]:
-        """Return the entries of an observation: groups, then what is privileged, then devices.
+    def observed_numbers(self, choices: Choices) -> list[ObservedNumber]:
+        """Return the numbers of an observation: groups, then what is privileged, then devices.
 
-        `wtg0` is group 1 of commands and pictures. With sensors a group has what they say; the privileged part then
-        begins with the exact values, as "exact0" and so on, and the duty error that is charged.
+        Groups count from 0 here, from 1 on the command line and in pictures. With sensors they show measurements; the
+        privileged part then begins with the exact values, "exact0" and so on, and the duty error that is charged.
         """
-        entries: list[Entry] = []
+        numbers: list[ObservedNumber] = []
         for j in range(len(choices.plant.groups)):
-            entries += _entries(self.of_groups, j)
-            actions = _entries((OBSERVED, "shown_actions", self.of_groups[2]), j)
-            entries += itertools.compress(actions, episode.ACTION_MODES[choices.action_mode])
+            numbers += _numbers_of(self.of_groups, j)
+            actions = _numbers_of((OBSERVED, "shown_actions", self.of_groups[2]), j)
+            numbers += itertools.compress(actions, episode.ACTION_MODES[choices.action_mode])
         if choices.privileged:
             for j in range(len(choices.plant.groups)):
-                entries += (entry for shown in self.privileged for entry in _entries(shown, j))
+                numbers += (number for shown in self.privileged for number in _numbers_of(shown, j))
             for i in range(len(choices.plant.case.machines)):
-                entries += _entries((OBSERVED_MACHINES, "machine_observed", "sync"), i)
-            entries += _entries((OBSERVED_GRID, "grid_observed", "grid"), None)
+                numbers += _numbers_of((OBSERVED_MACHINES, "machine_observed", "sync"), i)
+            numbers += _numbers_of((OBSERVED_GRID, "grid_observed", "grid"), None)
         for device in choices.plant.devices:
             if device.shown is not None:
                 shown = device.kind, device.shown, device.kind.name
-                entries += (entry for j in range(len(device.buses)) for entry in _entries(shown, j))
-        return entries
+                numbers += (number for j in range(len(device.buses)) for number in _numbers_of(shown, j))
+        return numbers
 
 
 #: The first task of each version: the one of the benchmark.
@@ -271,13 +271,13 @@ def _of_version(version: str) -> Task:
     return _FIRST[version]
 
 
-def _entries(shown: Shown, unit: int | None) -> Iterator[Entry]:
-    """Yield the entries that a unit shows; of a kind with one unit, which has no number, with None."""
+def _numbers_of(shown: Shown, unit: int | None) -> Iterator[ObservedNumber]:
+    """Yield the numbers that a unit shows; of a kind with one unit, which has no index, with None."""
     kind, part, letters = shown
     prefix = letters if unit is None else f"{letters}{unit}"
     for place, (name, hint) in enumerate(get_type_hints(kind.scratch[part], include_extras=True).items()):
         counted_in = "".join(f" [{text}]" for text in getattr(hint, "__metadata__", ())[:1])
-        yield Entry(f"{prefix}.{name}{counted_in}", kind, part, unit or 0, place)
+        yield ObservedNumber(f"{prefix}.{name}{counted_in}", kind, part, unit or 0, place)
 
 
 def _inv_torque(plant: Plant) -> float:

@@ -58,7 +58,7 @@ V1 = task.Task(
         cost.charge_group,
         episode.remember_group,
         Here(Joining.CHARGE),
-        cost.charge_open_interval,
+        cost.charge_interval_partly_capped,
         cost.charge_env,
     ),
     start_sensors=(sensing.draw_noise, sensing.start_sensors, sensing.measure_group, sensing.start_measurements),
