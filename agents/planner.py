@@ -107,7 +107,7 @@ class Futures:
             wind = np.concatenate([scenario.wind_speed, scenario.wind_speed[:, -1:] * relative], axis=1)
             events = scenario.events + tuple(event for event in other.events if event.time_s > time_s)
             try:
-                future = replace(scenario, wind_speed=wind, events=events, reserve_margin=None)
+                future = replace(scenario, wind_speed=wind, events=events)
                 margin = self._batch.suite.margin(future, self._batch.settings.resolved_plant)
                 # NaN where a suite has no margins.
                 if not margin < self._least_margin:

@@ -210,6 +210,12 @@ def test_the_environment_tells_the_margin_in_the_suites_plant_with_its_own_group
     own = calm(9.0, 5.0, 4, events=(sc.GroupTrip(time_s=2.0, group=3),))
     _, info = env.reset(options={"scenario": own})
     assert info["reserve_margin"] == ReserveMargin(suite.plant).of(own) == env.step(np.zeros(8))[4]["reserve_margin"]
+    # A drawn scenario that was changed has another margin than it was drawn with.
+    lost = {"kind": "group_trip", "time_s": 1.0, "group": 1}
+    drawn = suite.scenario(20_000, duration_s=5.0)
+    changed = sc.Scenario.from_dict({**drawn.to_dict(), "events": [lost]})
+    assert suite.margin(changed) == ReserveMargin(suite.plant).of(changed) != drawn.reserve_margin
+    assert dataclasses.replace(drawn, events=changed.events).reserve_margin is None
     groups = [{"bus": 2, "n_turbines": 20.0}, {"bus": 6, "n_turbines": 18.0}, {"bus": 8, "n_turbines": 16.0}]
     for arguments, n_wtg in (({"groups": groups}, 3), ({"groups": 2, "scenario": calm(duration_s=5.0)}, 2)):
         env = GFMWTGEnv(duration_s=5.0, **arguments)

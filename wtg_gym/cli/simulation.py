@@ -65,7 +65,7 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
         }
         output.print_json({"scenario": data, "plant": plant_data, "runs": figures})
     else:
-        output.say(*suites.describe_scenario(scenario), "")
+        output.say(*suites.describe_scenario(scenario, suite), "")
         has_shed = any(row["shed_energy_mws"] for row in figures)
         columns = {head: key for head, key in _COLUMNS.items() if has_shed or key != "shed_energy_mws"}
         rows = [[row["strategy"], *(_text(row[key]) for key in columns.values()), _end(row)] for row in figures]

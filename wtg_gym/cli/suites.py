@@ -38,7 +38,7 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
         if json:
             print_json(scenario.to_dict())
         else:
-            say(*describe_scenario(scenario))
+            say(*describe_scenario(scenario, chosen[0]))
     elif json or name is not None:
         print_json([_summary(suite) for suite in chosen])
     else:
@@ -73,8 +73,8 @@ def _summary(suite: "Suite") -> dict[str, Any]:
     }
 
 
-def describe_scenario(scenario: "Scenario") -> list[str]:
-    """Return a scenario in words: wind, grid strength and events, with units."""
+def describe_scenario(scenario: "Scenario", suite: "Suite") -> list[str]:
+    """Return a scenario of a suite in words: wind, grid strength, events and reserve, with units."""
     winds = [
         f"{wind.mean():.4g}" + (f" ({wind.min():.3g} … {wind.max():.3g})" if wind.size > 1 else "")
         for wind in scenario.wind_speed[:4]
@@ -91,8 +91,8 @@ def describe_scenario(scenario: "Scenario") -> list[str]:
         f"inertia of each {100.0 * scenario.inertia_scale:.3g} %, load {100.0 * scenario.load_level:.3g} %",
         f"  load noise   {noise}",
     ]
-    if scenario.reserve_margin is not None:
-        lines.append(f"  reserve      {100.0 * scenario.reserve_margin:.1f} % of the load, at its least")
+    if suite.margins:
+        lines.append(f"  reserve      {100.0 * suite.margin(scenario):.1f} % of the load, at its least")
     events = sorted(scenario.events, key=lambda event: event.time_s)
     for head, event in zip(["events", *[""] * len(events)], events, strict=False):
         late = " (after the end of the run)" if event.time_s >= scenario.duration_s else ""

@@ -307,7 +307,8 @@ class Scenario(Checked):
     inertia_scale: float = design(1.0, "-", "factor on the inertia of every synchronous machine", 0.05, 5.0)
     committed: float = design(1.0, "-", "share on line of the units of machines with a governor", 0.05, 1.0)
     sensors: Sensors | None = None  # errors of the WTG groups' measurements; None: exact and immediate
-    reserve_margin: float | None = design(None, "-", "that it was drawn with; None: unknown", -1e3, 1e3)
+    #: The margin that it was drawn with; None for one that was made or changed, whose margin is computed.
+    reserve_margin: float | None = field(default=None, init=False)
     seed: int | None = design(None, "-", "seed it was drawn from, if any", 0, 2**63 - 1)
 
     def __post_init__(self) -> None:
@@ -330,7 +331,7 @@ class Scenario(Checked):
         return int(self.wind_speed.shape[0])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scenario as JSON-ready data; :meth:`from_dict` turns it back exactly."""
+        """Return the scenario as JSON-ready data; :meth:`from_dict` turns it back, without its reserve margin."""
         data = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         data["wind_speed"], data["load_noise_mw"] = self.wind_speed.tolist(), self.load_noise_mw.tolist()
         data["events"] = [
@@ -347,6 +348,8 @@ class Scenario(Checked):
     def from_dict(cls, data: dict[str, Any]) -> "Scenario":
         """Build a scenario from :meth:`to_dict`'s form. A ValueError names unknown keys, event kinds or values."""
         fields = _known(cls, data, "scenario")
+        # Of a scenario that was edited it would be another's.
+        fields.pop("reserve_margin", None)
         if not isinstance(fields.get("events", ()), (list, tuple)):
             raise ValueError(f"events must be a list, got {data['events']!r:.80}")
         require_items(cls, "events", fields.get("events", ()))
