@@ -88,11 +88,13 @@ def test_many_envs_and_copies_from_another_process_have_the_bits_of_one(battery)
         assert (batch.observations == one.observations).all() and (batch.rewards == one.rewards[0]).all()
 
 
-def test_an_empty_one_gives_no_more(battery):
-    batch = played(settings(battery, energy_time_s=3.0), n_steps=190)
-    names = batch.observation_names
-    power, energy = (batch.observations[0, names.index(f"batteries0.{name}")] for name in ("power", "energy_left"))
-    assert 0.0 <= energy < 0.05 and abs(power) < 0.05
+@pytest.mark.parametrize(("options", "limit"), [({"droop": 5e-4}, 1.0), ({"energy_time_s": 3.0}, 0.0)])
+def test_its_power_rests_at_its_rating_and_at_nothing_when_it_is_empty_at_any_step(battery, options, limit):
+    usual = settings(battery, **options)
+    fine = dataclasses.replace(usual, plant={**usual.plant, "simulation_dt": 0.005})
+    (power, energy, *_), exact = (played(each, n_steps=190).observations[0, -4:] for each in (usual, fine))
+    assert (power, energy) == pytest.approx(tuple(exact[:2]), abs=1e-3)
+    assert power == pytest.approx(limit, abs=0.01) and 0.0 <= energy < 0.5
 
 
 def test_its_gradient_is_that_of_differences(battery):
