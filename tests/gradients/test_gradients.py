@@ -3,6 +3,8 @@
 import dataclasses
 import functools
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -12,9 +14,10 @@ import pytest
 from tests.physics.extended import plant
 from wtg_gym.envs import EnvSettings
 from wtg_gym.gradients import LAW_PARAMETERS, Gradient, Tape, check_by_differences
-from wtg_gym.gradients.adjoint import pull
+from wtg_gym.gradients.adjoint import N_TAPED, programs_of, pull
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.protection import STAGES, Status
+from wtg_gym.tasks import V1 as TASK_V1
 from wtg_gym.tasks.cost import COST_TERMS
 
 NUM_ENVS = 3
@@ -499,3 +502,14 @@ def test_parameters_of_v1_act_through_limits_and_sensors():
     for each in checked[-2:]:
         assert np.abs(each.gradient).min() > 1e-4
         assert each.gradient == pytest.approx(each.central, rel=1e-5), each.name
+
+
+def test_other_processes_find_the_machine_code_of_this_one():
+    digests = [program.digest(back=True) for program in programs_of(TASK_V1)[:N_TAPED]]
+    code = (
+        "from wtg_gym.gradients.adjoint import N_TAPED, programs_of; from wtg_gym.tasks import V1;"
+        "print(*(program.digest(back=True) for program in programs_of(V1)[:N_TAPED]))"
+    )
+    for _ in range(3):
+        run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert run.stdout.split() == digests

@@ -19,8 +19,8 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     without stalling a rotor.
 
     ## Action Space
-    `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group an offset on k (at ±1 half of K_opt - K_pr), then a factor on
-    τ (at ±1 four times or a quarter, in v1 twice or half). Zero leaves the control law `strategy` unchanged, to the
+    `Box(-1, 1, (n_wtg · n_modes,), float32)`: k of group 1, its τ, k of group 2, … (`action_names`); an offset on k (at
+    ±1 half of K_opt - K_pr) and a factor on τ (at ±1 four times or a quarter, in v1 twice or half). Zero leaves the control law `strategy` unchanged, to the
     last bit; its default is the published law. Actions outside -1 … 1 are clipped; an action that is not finite raises
     a ValueError.
 
@@ -34,10 +34,11 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     noise, bias and a delay of 0.1 … 0.3 s, and its last action. The privileged part begins with the exact values.
 
     ## Rewards
-    In v1 the change of the score in the step, so that the return of an episode is its score minus 100; in v0 minus the
-    cost of the step; see `reward`. In v1 the last step also makes up for the score's logarithm, by up to hundreds of
-    points; an episode that `TimeLimit` cuts has no such step, and its return is no score. The cost is the sum of the
-    terms `info["cost_…"]`. `info["cost"]` is another number, for safe reinforcement learning.
+    In v0 minus the cost of the step; see `reward`. In v1 what the step saves against the reference at 100,
+    100/Λ · (c_100 - c) / (J_100 + J0); the last step adds what makes the return the score minus 100: a few points on a
+    tuned law with little noise, a thousand and more on the published law or with much. An episode that `TimeLimit` cuts
+    has no such step, and its return is no score. The cost is the sum of the terms `info["cost_…"]`. `info["cost"]` is
+    another number, for safe reinforcement learning.
 
     ## Starting State
     The exact equilibrium of the scenario's wind, load and grid at nominal frequency.
@@ -47,7 +48,8 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     a "loss of synchronism" (two units more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u.
     for more than 3 s), or a "numerical failure". A rotor's "stall", "over-speed" or, in extended physics, "under-speed"
     terminates in v0 and disconnects its group in v1 (`on_failure`). Protections act every 0.1 s, or once in a shorter
-    control interval. Truncated when the time is over.
+    control interval. Truncated when the time is over; learners that then bootstrap, such as Stable-Baselines3's, expect
+    more than the score counts.
 
     ## Arguments
     Those of `wtg_gym.envs.EnvSettings`, and `render_mode`. An unknown one raises a TypeError, a value that is not

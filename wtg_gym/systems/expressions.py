@@ -223,12 +223,13 @@ _REVERSE: dict[str, Callable[..., tuple[Any, ...]]] = {
 
 def needed(values: Iterable[Any]) -> list[Number]:
     """Return the numbers that some values depend on, and themselves, each after those that it depends on."""
-    reached: set[Number] = set()
+    # In the order of a dictionary: that of a set differs from process to process, and with it what code is kept under.
+    reached: dict[Number, None] = {}
     open_ = [value for value in values if isinstance(value, Number)]
     while open_:
         number = open_.pop()
         if number not in reached:
-            reached.add(number)
+            reached[number] = None
             open_ += [a for a in number.arguments if isinstance(a, Number)]
     return sorted(reached, key=lambda number: number.order)
 
