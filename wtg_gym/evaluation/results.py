@@ -299,7 +299,7 @@ def _frequency_sentence(results: Results) -> str:
     learned = next((row for row in rows if row.kind == "learned" and not row.privileged), None)
     labels = {task.zero: "the published law", task.hundred: "that law tuned to this grid"}
     if learned is not None:
-        labels[learned.name] = f"`{learned.name}`, the best learned entry"
+        labels[learned.name] = f"`{learned.name}`, the learned entry that scores most"
     deviations = {row.name: row.median_deviation_mhz for row in rows}
     parts = [f"{deviations[name]:.0f} mHz with {words}" for name, words in labels.items()]
     return (

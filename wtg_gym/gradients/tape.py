@@ -394,7 +394,7 @@ class Tape:
             terms: derivatives of what is differentiated with respect to the terms of each step's cost (n_terms) or
                 (n_steps, num_envs, n_terms); None for zeros.
             outputs: with respect to those at each step's end (n_steps, num_envs, n_outputs); None for zeros. Those
-                after the end of an episode, where its outputs stay as they were, count nothing.
+                after the end of an episode are ignored.
 
         Returns:
             those with respect to actions, laws and parameters, as :class:`Gradient` has them.

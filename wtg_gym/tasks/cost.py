@@ -84,9 +84,9 @@ class CostWeights(NamedTuple):
     ] = 300.0
     failure: Annotated[
         float,
-        "in v1 alone: largest cost rate while the episode goes on, more than the limits of the frequency, all stages "
-        "of shedding and all other terms at their cap cost; a failed episode costs this for its whole length and one "
-        "second more",
+        "in v1 alone: largest cost rate of a running episode, above that of the frequency at its limits, all stages "
+        "of shedding and all other terms at their cap together; a failed episode costs this for its whole length and "
+        "one second more",
     ] = 250.0
 
     def checked(self) -> "CostWeights":
