@@ -22,8 +22,8 @@ import numpy as np
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import sha256
 from wtg_gym.tasks import V1
+from wtg_gym.tasks.measured_observation import MeasuredObservation
 from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU, of_groups
-from wtg_gym.tasks.sensing import MeasuredObservation
 
 from . import COORDINATED_SOURCE
 

@@ -30,8 +30,8 @@ from wtg_gym.physics.tracking_law import (
 from wtg_gym.policies.play import answer, started_batch
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
+from wtg_gym.tasks.measured_observation import MeasuredObservation
 from wtg_gym.tasks.observation import of_groups
-from wtg_gym.tasks.sensing import MeasuredObservation
 
 #: Least coefficient that is tried [p.u.]: at 0 a group would give nothing.
 _LEAST_TRIED = 0.05

@@ -18,8 +18,8 @@ from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, ProtectionParameters, SheddingStage, WtgGroup
 from wtg_gym.tasks import TASKS, V1
 from wtg_gym.tasks.cost import COST_TERMS, CostWeights
+from wtg_gym.tasks.measured_observation import MeasuredObservation
 from wtg_gym.tasks.observation import GridObservation, Info, LocalInfo, MachineObservation, WtgObservation
-from wtg_gym.tasks.sensing import MeasuredObservation
 
 NEWEST_FIRST = list(TASKS.values())[::-1]
 ENVS = {version.version: GFMWTGEnv(version=version.version) for version in NEWEST_FIRST}

@@ -17,8 +17,8 @@ from wtg_gym.systems.elementary import noise
 from wtg_gym.systems.programs import link, numbered
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, system
+from wtg_gym.tasks.measured_observation import MeasuredObservation
 from wtg_gym.tasks.observation import WtgObservation
-from wtg_gym.tasks.sensing import MeasuredObservation
 
 N_WTG, N_ACTION = 4, 8
 MEASURED, EXACT = MeasuredObservation._fields, WtgObservation._fields

@@ -19,8 +19,8 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import LAWS, REFERENCE_LAW, TrackingLaw, get_law
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.tasks import V0, V1
+from wtg_gym.tasks.measured_observation import MeasuredObservation
 from wtg_gym.tasks.observation import of_groups
-from wtg_gym.tasks.sensing import MeasuredObservation
 
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 MODULE = """

@@ -13,9 +13,9 @@ from wtg_gym import Plant, simulate
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.devices import SOURCES
 from wtg_gym.physics.grid import NetworkCase, Source, get_grid
+from wtg_gym.physics.network_events import assemble
 from wtg_gym.physics.parameters import ConverterLimitParameters
 from wtg_gym.physics.protection import FILTER_S, Status, turn_between
-from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS, Phasor, TripCause

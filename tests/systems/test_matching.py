@@ -222,7 +222,7 @@ def test_every_name_of_every_system_means_one_thing_and_is_annotated_with_it():
         annotations = inspect.get_annotations(one.equation, eval_str=True)
         for name in one.arguments_named:
             # The records of controls are made when they are.
-            unknown = name in ("control", "model") and one.equation.__module__ == "wtg_gym.physics.machine_controls"
+            unknown = name in ("control", "model") and one.equation.__module__ == "wtg_gym.physics.control_blocks"
             assert annotations[name] is (Any if unknown else one.places[name].record), (one.name, name)
     assert len(systems) > 140
 

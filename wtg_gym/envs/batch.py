@@ -20,7 +20,7 @@ from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedBatch, Simulator
 from wtg_gym.ranges import is_whole, whole_steps
 from wtg_gym.signals import undivided
-from wtg_gym.tasks import cost, episode, observation, sensing
+from wtg_gym.tasks import cost, episode, measured_observation, observation
 
 #: Text of `info["termination_reason"]`: empty while an episode runs or when its time is over.
 TERMINATION_REASONS = {
@@ -269,10 +269,10 @@ class EnvBatch:
         rows[:, group], rows[:, group + 1] = rows[:, layout.wtg("inv_tau")], rows[:, layout.wtg("speed")]
         numbers = [self._sensor_numbers(scenario) for scenario in scenarios]
         if self.suite.task.has_sensors:
-            first = layout.first_rows(sensing.SENSORS, "sensor_input")[0]
+            first = layout.first_rows(measured_observation.SENSORS, "sensor_input")[0]
             places = [
                 *range(first, first + len(SensorInput._fields)),
-                *layout.first_rows(sensing.SENSED, "wind_bias"),
+                *layout.first_rows(measured_observation.SENSED, "wind_bias"),
                 *layout.first_rows(cost.FILTERED_DUTY, "leaves_at"),
             ]
             rows[:, places] = numbers

@@ -26,7 +26,7 @@ from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.play import answer
 from wtg_gym.scenarios.suites import DEFAULT_SUITE
-from wtg_gym.tasks import cost, sensing
+from wtg_gym.tasks import cost, measured_observation
 
 Complex = npt.NDArray[np.complex128]
 #: The operating point: wind of all groups [m/s], and the middle of what standard-v1 draws of the grid.
@@ -202,7 +202,7 @@ class Loop:
     @property
     def _rows(self) -> Whole:
         """The plant's rows: without old measurements, which are not seen, and limits at rest, which act one way."""
-        layout, kept = self.layout, self.layout.span(sensing.KEPT)
+        layout, kept = self.layout, self.layout.span(measured_observation.KEPT)
         keep = np.ones(layout.n_rows, dtype=np.bool_)
         keep[kept.first : kept.first + kept.n_units * kept.n_rows] = False
         keep[linearisation.one_way_limits(self.tape.batch.simulator.blocks[0, :, 0], layout)] = False

@@ -5,8 +5,8 @@ from typing import Any
 
 from wtg_gym.physics import step as systems
 from wtg_gym.physics.layout import OF_ENV, BatchData, Facts, Floats, Network, place_of, units_of
+from wtg_gym.physics.network_events import refresh_network
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
-from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.compiled import allocating, compiled, inlined, internal
 from wtg_gym.systems.programs import numbered

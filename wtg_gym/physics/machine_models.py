@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics import machine_controls as controls
+from wtg_gym.physics import control_blocks as controls
 from wtg_gym.physics import machine_parameters as parameters
+from wtg_gym.physics.control_blocks import lag, lead_lag
 from wtg_gym.physics.machine import beyond_dead_band, saturated, saturation_constants
-from wtg_gym.physics.machine_controls import lag, lead_lag
 from wtg_gym.physics.units import ControlJoining
 from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.systems.systems import System, structured

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wtg_gym.physics import equilibrium, integration, linearisation, reduction
+from wtg_gym.physics import equilibrium, integration, linearisation, network_events
 from wtg_gym.physics.layout import NO_EVENT, BatchData, Floats, rows_of_envs
 from wtg_gym.physics.plant import NO_TASK, Plant, TaskUnits, placed, programs_of
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
@@ -208,7 +208,7 @@ class Simulator:
             equilibrium.POWER_FLOW: (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS),
         }
         if network.facts.islands.n_units > 1:
-            arguments[reduction.FIND_ISLANDS] = of_env
+            arguments[network_events.FIND_ISLANDS] = of_env
         if network.facts.is_large:
             arguments[equilibrium.SPARSE_FLOW] = (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS, network.pattern)
         return arguments
@@ -435,7 +435,7 @@ class Simulator:
         internal = scratch[first] + 1j * scratch[first + 1]
         network, noise_bus = self.plant.network, int(self.env_values("noise_bus")[env])
         y, unit_y = np.zeros((network.shunts.size,) * 2, dtype=np.complex128), np.zeros_like(network.unit_y)
-        reduction.assemble(y, unit_y, block, x, env, network, self.data)
+        network_events.assemble(y, unit_y, block, x, env, network, self.data)
         y[noise_bus, noise_bus] += self.env_values("noise_y")[env]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)

@@ -1,7 +1,7 @@
 """Tasks: what an environment acts on, charges and observes; each version of the benchmark is one object.
 
 `task` says what a task is; `versions` has the two. Their equations: `episode`, actions and history; `cost`;
-`sensing`, the sensors of v1; `observation`, with `info`.
+`measured_observation`, the sensors of v1; `observation`, with `info`.
 """
 
 from collections.abc import Mapping

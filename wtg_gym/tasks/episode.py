@@ -1,6 +1,6 @@
 """An episode: its constants, how actions move k and τ, and the history of frequencies and actions.
 
-Cost, sensors and observations (:mod:`wtg_gym.tasks.cost`, :mod:`wtg_gym.tasks.sensing`,
+Cost, sensors and observations (:mod:`wtg_gym.tasks.cost`, :mod:`wtg_gym.tasks.measured_observation`,
 :mod:`wtg_gym.tasks.observation`) follow this history.
 """
 

@@ -1,7 +1,7 @@
 """Observations and `info`: records, their equations, and the names of an observation's entries.
 
 A new entry is a field of a record here, with its unit, and a line in the equation below it. Observations through
-sensors, as in v1, are in :mod:`wtg_gym.tasks.sensing`.
+sensors, as in v1, are in :mod:`wtg_gym.tasks.measured_observation`.
 """
 
 from typing import Annotated, Any, NamedTuple, TypeVar
@@ -57,8 +57,8 @@ def shown(m: Measurement, rotor: Rotor, task: TaskConstants) -> tuple[float, flo
 def of_groups(observation: npt.NDArray[Any], record: type[R], action_mode: str) -> R:
     """Return what every WTG group shows in a local observation (..., n_observation): a record of arrays (..., n_wtg).
 
-    The record is :class:`WtgObservation` in v0, `MeasuredObservation` of :mod:`wtg_gym.tasks.sensing` in v1. The last
-    actions of the action mode stand behind each group's numbers. A ValueError says that the numbers do not fit.
+    The record is :class:`WtgObservation` in v0, in v1 `MeasuredObservation`. The last actions of the action mode stand
+    behind each group's numbers. A ValueError says that the numbers do not fit.
     """
     n = len(record._fields)  # type: ignore[attr-defined]
     n_each, n_all = n + sum(ACTION_MODES[action_mode]), observation.shape[-1]

@@ -16,8 +16,8 @@ from wtg_gym.physics.sensors import DELAY_MAX_S
 from wtg_gym.systems import routines, systems
 from wtg_gym.systems.programs import Program, numbered
 from wtg_gym.tasks import cost, episode
+from wtg_gym.tasks.measured_observation import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS
 from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GRID, OBSERVED_MACHINES
-from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS
 
 #: Share of the load that the torque of the machines is counted in on other grids than the IEEE 14-bus system, where it
 #: is 100 MVA.

@@ -2,7 +2,8 @@
 
 from wtg_gym.physics.units import Joining
 from wtg_gym.systems.programs import Here
-from wtg_gym.tasks import cost, episode, observation, sensing, task
+from wtg_gym.tasks import cost, episode, observation, task
+from wtg_gym.tasks import measured_observation as measured
 
 #: What both versions do.
 _ACT = (episode.act_on_k, episode.act_on_tau, episode.note_active)
@@ -61,16 +62,16 @@ V1 = task.Task(
         cost.charge_interval_partly_capped,
         cost.charge_env,
     ),
-    start_sensors=(sensing.draw_noise, sensing.start_sensors, sensing.measure_group, sensing.start_measurements),
+    start_sensors=(measured.draw_noise, measured.start_sensors, measured.measure_group, measured.start_measurements),
     measure=(
-        sensing.draw_noise,
-        sensing.advance_sensors,
-        sensing.measure_group,
-        sensing.shift_measurements,
-        sensing.keep_measurement,
+        measured.draw_noise,
+        measured.advance_sensors,
+        measured.measure_group,
+        measured.shift_measurements,
+        measured.keep_measurement,
     ),
     observe=_OBSERVE,
-    of_groups=(sensing.SENSED, "shown", "wtg"),
+    of_groups=(measured.SENSED, "shown", "wtg"),
     privileged=((observation.OBSERVED, "observed", "exact"), (observation.OBSERVED_DUTY, "shown_duty", "exact")),
     # Duty costs as much as frequency, since the wind is most of the power. RoCoF weighs five times as much as in v0,
     # since the synchronous machines have 0.82 instead of 2.86 GWs of inertia on average. The effort weighs as much per
