@@ -27,6 +27,8 @@ BAD = [
     ("grid import case.m --output run.txt", 'must have extension "json"'),
     ("simulate --plot folder.png", '"folder.png" is a directory'),
     ("simulate --plot file.txt/run.png", "file.txt is not a folder"),
+    ("evaluate --results /proc/results", "The folder /proc is not writable"),
+    ("report mppt --output /proc/results/page.html", "The folder /proc is not writable"),
     ("simulate --scenario nowhere.json", "cannot read the scenario file nowhere.json"),
     ("simulate --scenario broken.json", "broken.json is not JSON"),
     ("simulate --scenario long.json", "long.json"),

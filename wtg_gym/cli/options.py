@@ -4,13 +4,14 @@ Modules of commands import only this one, `output` and the standard library. A c
 that its help appears at once.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token, validators
+
+from wtg_gym.cli.output import check_writable
 
 #: That of `wtg_gym.scenarios`, whose import takes a second.
 DEFAULT_SUITE = "standard-v1"
@@ -40,8 +41,7 @@ def _can_be_written(_: Any, path: Path | None) -> None:
     folder = there.parent if there == path and there.is_file() else there
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder")
-    if not os.access(folder, os.W_OK):
-        raise ValueError(f"The folder {folder} is not writable")
+    check_writable(folder)
 
 
 def _output_file(*endings: str) -> Parameter:

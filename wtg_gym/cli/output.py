@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import sys
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -45,9 +46,18 @@ def check_page(option: str, path: Path, sections: Sequence[str]) -> str:
         find_markers(path, section)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from error
-    if not os.access(path, os.W_OK) or not os.access(path.resolve().parent, os.W_OK):
+    if not os.access(path, os.W_OK):
         raise ValueError(f"{option} {path} is not writable")
+    check_writable(path.resolve().parent)
     return section
+
+
+def check_writable(folder: Path) -> None:
+    """Raise a ValueError if no file can be made in a folder, such as /proc, whose permissions say otherwise."""
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise ValueError(f"The folder {folder} is not writable: {error.strerror}") from error
 
 
 def print_json(data: Any) -> None:
