@@ -459,7 +459,8 @@ def begin_or_go_on(
             if not run.finished:
                 run.resumptions.append(_provenance(run.settings))
         train(run)
-    note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
+    step = run.best["timesteps"] or "0, before the training: train longer"
+    note(f"best validation score {run.best['score']:.1f} at step {step}; wrote {folder}")
 
 
 def require_local(settings: RunSettings) -> None:

@@ -104,6 +104,14 @@ def test_kill_between_two_files_is_mended(missing, copied):
     assert scores[0] == scores[1]
 
 
+def test_a_best_policy_of_before_the_training_is_said(copied, capsys):
+    run = Run.read(copied)
+    run.curve[0]["score"] = run.curve[-1]["score"] + 1.0
+    run.write()
+    assert main(["--resume", str(copied)]) == 0
+    assert "at step 0, before the training: train longer" in capsys.readouterr().err
+
+
 def test_seed_decides_the_first_weights_and_the_scenarios(run_of):
     settings = Run.read(run_of("ppo")).settings
     models = [new_model(dataclasses.replace(settings, seed=seed)) for seed in (0, 0, 1)]
