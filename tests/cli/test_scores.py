@@ -185,13 +185,14 @@ def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key,
 def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):
     pytest.importorskip("matplotlib")
     law = tmp_path / "my law.toml"
-    law.write_text('name = "a & b"\nk_min = 0.75\nk_nominal = 0.7\nk_max = 0.6\ntau_s = 0.8\n', encoding="utf-8")
+    law.write_text('name = "a & b"\nk_min = 1.02\nk_nominal = 1.02\nk_max = 1.02\n', encoding="utf-8")
     page = tmp_path / "page.html"
     assert main(["report", str(law), "--scenarios", "3", "--seed", "10000", "--output", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
     assert [html.unescape(heading) for heading in re.findall("<h2[^>]*>(.*?)</h2>", text)] == HEADINGS
     assert re.findall('(?:src|href)="(.{11})', text) == ["data:image/"] * 2
     assert "a &amp; b" in text and "a & b" not in text
+    assert "By chance alone so many more would come" in text
     assert f"--split validation --seeds 10000 --entries {shlex.quote(str(law))}" in html.unescape(text)
 
 
@@ -203,6 +204,7 @@ def test_a_page_of_markdown_has_the_numbers_of_the_evaluation_and_the_dearest_sc
     results = evaluate(["fast-droop"], "standard-v1", "validation", seeds=seeds)
     assert f"| all, strata count alike | 3 | {results.scores['fast-droop'].value:.1f} |" in text
     costs = {episode.seed: episode.metrics["cost"] for episode in results.episodes_of("fast-droop")}
+    assert "Difference to coordinated-tuned: 0.0 percentage points" in text and "By chance alone" not in text
     shown = [int(seed) for seed in re.findall(r"\(page-seed-(\d+)\.svg\)", text)]
     assert shown == sorted(seeds, key=costs.get, reverse=True)
 

@@ -276,6 +276,12 @@ def _bad_runs(report: Report) -> Section:
         f"{hundred} only": of_hundred * (1.0 - bad),
         "neither": (1.0 - bad) * (1.0 - of_hundred),
     }
+    difference, chance = report.row.lost_or_beyond_to_hundred, ""
+    if difference is not None and difference.value > 0.0:
+        chance = (
+            f" By chance alone so many more would come with a probability of {report.chance(_bad)} (McNemar's paired "
+            "exact test, one side)."
+        )
     return Section(
         heading="Bad runs",
         sentence="A run is bad if the grid is lost or its frequency deviates by more than 0.8 Hz, where customers are "
@@ -283,9 +289,8 @@ def _bad_runs(report: Report) -> Section:
         header=("bad under", "runs", "of all [%]"),
         rows=[(under, f"{n.sum():.0f}", f"{100.0 * n.sum() / bad.size:.1f}") for under, n in counts.items()],
         numbers=(1, 2),
-        note=f"Difference to {hundred}: {table.signed_interval(report.row.lost_or_beyond_to_hundred)} percentage "
-        f"points, strata counting alike. If both were equally reliable, so many more bad runs than {hundred}'s would "
-        f"come with a probability of {report.chance(_bad)} (McNemar's paired exact test, one side).",
+        note=f"Difference to {hundred}: {table.signed_interval(difference)} percentage points, strata counting alike."
+        f"{chance}",
     )
 
 
