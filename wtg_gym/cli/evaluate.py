@@ -67,7 +67,7 @@ def leaderboard(
     entries: options.Entries = ("baselines",),
     suite: options.Suite = options.DEFAULT_SUITE,
     results: options.OutputFolder = Path("results"),
-    readme: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)] = (),
+    readme: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, negative="")] = (),
     threads: options.Threads = None,
     json: options.Json = False,
     workers: options.WorkerOptions = options.WorkerOptions(),
