@@ -120,6 +120,12 @@ def test_a_learner_is_played_on_the_law_that_it_learned_on(tmp_path):
         export_onnx(DeterministicPolicy(PPO.load(tmp_path / "model.zip")), tmp_path, name="mine", action_mode="k")
 
 
+def test_a_learner_is_played_and_exported_in_its_own_version(tmp_path):
+    model = learner(version="v0", strategy="mppt")
+    (entry,) = load_entries(export_onnx(DeterministicPolicy(model), tmp_path, name="mine"))
+    assert entry.environment == Entry(name="mine", policy=model).environment == ENV_ID
+
+
 def test_laws_of_a_learner_may_be_files_or_objects(tmp_path):
     file = tmp_path / "my_law.toml"
     file.write_text(example_law())

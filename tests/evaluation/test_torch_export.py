@@ -11,13 +11,13 @@ from torch import nn
 from tests.submissions import models
 from wtg_gym import export_onnx, load_entries
 from wtg_gym.evaluation import OnnxPolicy, PolicyError, evaluate
-from wtg_gym.policies.gate import check_submission
+from wtg_gym.policies.gate import check_submission, read_submission
 
 M = 8
 ENTRY = {"name": "mine", "authors": ["Jane Doe"], "environment": "GFMWTG-14bus-v1"}
 REFUSED = {
     "no module": (lambda n: lambda x: x, "takes a torch.nn.Module, got function"),
-    "other width": (lambda n: nn.Linear(n + 1, M), "cannot answer inputs of shapes"),
+    "other width": (lambda n: nn.Linear(n + 1, M), "cannot answer inputs of shapes .* give the environment"),
     "too few actions": (lambda n: nn.Linear(n, M - 1), r"of shapes \[\(2, 8\)\], got \[\(2, 7\)\]"),
     "undeclared states": (lambda n: Answers(n, lambda y, x: (y, x)), r"of shapes \[\(2, 8\)\], got \[\(2, 8\), "),
     "random": (lambda n: Answers(n, lambda y, x: y + torch.randn(x.shape[0], M)), "draws random numbers"),
@@ -25,7 +25,7 @@ REFUSED = {
     "no operator": (lambda n: Answers(n, lambda y, x: torch.special.airy_ai(y)), "cannot export the module .*airy_ai"),
     "not a number": (lambda n: Answers(n, lambda y, x: y / 0.0 * 0.0), "differ by inf"),
     # Before the work: the module is none that can be exported.
-    "unknown key": (lambda n: nn.Linear(1, 1), r"unknown: \['seed'\]", {"seed": 0}),
+    "unknown key": (lambda n: nn.Linear(1, 1), "argument 'author'; did you mean 'authors'", {"author": "A"}),
     "unknown mode": (lambda n: nn.Linear(1, 1), "action_mode must be one of", {"action_mode": "nothing"}),
     "too large": (lambda n: nn.Sequential(nn.Linear(n, 35_000), nn.Linear(35_000, M)), "allowed are 5000000"),
 }
@@ -104,9 +104,19 @@ class Answers(nn.Linear):
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_exported_is_refused_and_nothing_is_written(case, tmp_path):
     make, message, *keys = REFUSED[case]
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(TypeError if case == "unknown key" else ValueError, match=message):
         export_onnx(make(observation_width()), tmp_path / "mine", **ENTRY, **dict(*keys))
     assert not (tmp_path / "mine").exists()
+
+
+def test_export_leaves_authors_to_fill_in_and_replaces_no_other_description(tmp_path):
+    module = nn.Linear(observation_width(), M)
+    folder = export_onnx(module, tmp_path / "mine", name="mine")
+    assert "authors must be a list of 1" in read_submission(folder).refusal.reason
+    assert export_onnx(module, folder, name="mine") == folder
+    with pytest.raises(ValueError, match="has another entry.toml already; choose another folder, or give overwrite"):
+        export_onnx(module, folder, **ENTRY)
+    assert read_submission(export_onnx(module, folder, overwrite=True, **ENTRY)).accepted
 
 
 RANDOM = {

@@ -51,7 +51,7 @@ class Entry:
     action_mode: str = "k+tau"  # or "k", "tau"
     observation_mode: str = "local"  # or "privileged"
     per_group: bool = False  # whether the policy acts for one group at a time from its observation, on any grid
-    environment: str | None = None  # id of the environment whose observations the policy takes; None: any
+    environment: str | None = None  # id of that whose observations the policy takes; None: a learner's own, or any
     description: str = ""  # one sentence
     source: str = ""  # citation
     #: Text that identifies the policy's content, such as its file's sha256; an interrupted evaluation starts an entry
@@ -69,6 +69,8 @@ class Entry:
         object.__setattr__(self, "law", get_law(strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
+        if self.environment is None:
+            object.__setattr__(self, "environment", learned_in(self.policy).get("environment"))
         if self.environment is not None:
             require_choice(f"environment of entry {name!r}", self.environment, (*TASKS, ANY_GRID))
         if self.training_seed is not None:
@@ -109,9 +111,8 @@ class Entry:
 
     def check_learned(self, learned: Mapping[str, Any]) -> None:
         """Raise a ValueError if the learner of its policy had another law or other modes, see :func:`learned_in`."""
-        for key, value in learned.items():
-            entry_value = self.env_arguments[key]
-            if entry_value != value:
+        for key, entry_value in self.env_arguments.items():
+            if entry_value != (value := learned.get(key, entry_value)):
                 labels = [law.name if isinstance(law, TrackingLaw) else law for law in (value, entry_value)]
                 raise ValueError(
                     f"the policy of entry {self.name!r} learned with {key} {labels[0]!r}, the entry has "
@@ -165,7 +166,7 @@ def is_policy(value: Any) -> bool:
 
 
 def learned_in(policy: Any) -> dict[str, Any]:
-    """Return law ("strategy"; of several the names) and modes of a learner's environment; empty where it has none."""
+    """Return id, law ("strategy"; of several the names) and modes of a learner's environment; empty without one."""
     try:
         settings = policy.get_env().get_attr("settings")[0]
     # Anybody's policy may have a method of that name, and an environment may be closed.
@@ -176,7 +177,8 @@ def learned_in(policy: Any) -> dict[str, Any]:
     strategy = settings.strategy
     laws = [get_law(name) for name in ([strategy] if isinstance(strategy, (str, Path, TrackingLaw)) else strategy)]
     law = laws[0] if all(other == laws[0] for other in laws) else ", ".join(other.name for other in laws)
-    return {"strategy": law, "action_mode": settings.action_mode, "observation_mode": settings.observation_mode}
+    modes = {"action_mode": settings.action_mode, "observation_mode": settings.observation_mode}
+    return {"environment": settings.env_id, "strategy": law, **modes}
 
 
 def without_environment(name: str) -> ValueError:

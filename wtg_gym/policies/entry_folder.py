@@ -41,6 +41,7 @@ _TEMPLATE = Path(__file__).with_name("entry_template.toml")
 #: Keys that an entry.toml must have, those that a submission's must have, and more that it may have.
 _NEEDED, _SUBMITTED = ("name", "action_mode"), ("name", "authors", "training_seed", "action_mode")
 _OPTIONAL = ("description", "observation_mode", "per_group", "environment", "strategy", "trained_on")
+KEYS = (*_SUBMITTED, *_OPTIONAL)
 _CHOICES = {
     "action_mode": tuple(episode.ACTION_MODES),
     "observation_mode": observation.OBSERVATION_MODES,
@@ -82,7 +83,7 @@ def parse_entry(text: str, *, submitted: bool = False) -> Entry:
     except ValueError as error:
         raise ValueError(ascii(str(error))[1:-1][:160]) from error
     needed = _SUBMITTED if submitted else _NEEDED
-    others = [key for key in (*_SUBMITTED, *_OPTIONAL) if key not in needed]
+    others = [key for key in KEYS if key not in needed]
     missing, unknown = [key for key in needed if key not in data], sorted(set(data) - {*needed, *others})
     if missing or unknown:
         raise ValueError(

@@ -11,9 +11,10 @@ from wtg_gym.extras import install_advice
 from wtg_gym.files import write_together
 from wtg_gym.physics.tracking_law import LAW_NAMES, get_law
 from wtg_gym.policies.entry import without_environment
-from wtg_gym.policies.entry_folder import ENTRY_FILE, FILES, POLICY_FILE, entry_text, parse_submission
+from wtg_gym.policies.entry_folder import ENTRY_FILE, FILES, KEYS, POLICY_FILE, entry_text, parse_entry
 from wtg_gym.policies.gate import widths
 from wtg_gym.policies.policy_process import OnnxPolicy, PolicyError
+from wtg_gym.ranges import did_you_mean
 
 try:
     # Torch's exporter needs it.
@@ -34,13 +35,14 @@ def export_onnx(
     *,
     name: str,
     tolerance: float = 1e-5,
+    overwrite: bool = False,
     **entry: Any,
 ) -> Path:
     """Write a policy as `policy.onnx` and `entry.toml` into a folder, which is then an entry.
 
     The file's actions are compared with the module's on 320 random observations, episode starts among them. A
-    ValueError says that an argument is out of range, the module answers in another form, torch cannot export it, or the
-    file gives other actions or is too large.
+    ValueError says that an argument is out of range, the folder has another entry.toml, the module answers in another
+    form, torch cannot export it, or the file gives other actions or is too large; a TypeError names an unknown key.
 
     Args:
         module: maps observations (batch, n_observation) to actions (batch, n_action), float32; with memory, also one
@@ -50,15 +52,18 @@ def export_onnx(
         folder: where to write; made if missing.
         name: of the entry.
         tolerance: largest difference between the actions of the file and the module, [-1, 1].
+        overwrite: whether another entry.toml in the folder is replaced.
         entry: further keys of entry.toml: environment (default "GFMWTG-14bus-v1"), action_mode ("k+tau"),
-            observation_mode, strategy, training_seed (0), authors (["unnamed"]), description, trained_on. Strategy and
-            modes of a :class:`~wtg_gym.sb3.DeterministicPolicy` are those of its learner's environment.
+            observation_mode, strategy, training_seed (0), authors ([]; a submission needs them), description,
+            trained_on. A :class:`~wtg_gym.sb3.DeterministicPolicy` knows its learner's environment, strategy and modes.
 
     Returns:
         the folder.
     """
     if not isinstance(module, nn.Module):
         raise ValueError(f"export_onnx() takes a torch.nn.Module, got {type(module).__name__}")
+    for key in entry.keys() - KEYS:
+        raise TypeError(f"export_onnx() got an unexpected keyword argument {key!r}{did_you_mean(key, KEYS)}")
     learned: dict[str, Any] | None = getattr(module, "learned_in", None)
     if learned == {} and "strategy" not in entry:
         raise without_environment(name)
@@ -66,13 +71,16 @@ def export_onnx(
     law = of_training.get("strategy")
     if learned and (law not in LAW_NAMES or get_law(law) != learned["strategy"]):
         raise ValueError(f"a folder's strategy is a built-in one, the learner's was {law!r}: play it by Entry()")
-    defaults = {"environment": "GFMWTG-14bus-v1", "action_mode": "k+tau", "training_seed": 0, "authors": ["unnamed"]}
+    defaults = {"environment": "GFMWTG-14bus-v1", "action_mode": "k+tau", "training_seed": 0, "authors": []}
     text = entry_text({"name": name, **defaults, **of_training, **entry})
-    described = parse_submission(text.encode())
+    described = parse_entry(text)
     described.check_learned(learned or {})
+    path = Path(folder) / ENTRY_FILE
+    if not overwrite and path.exists() and path.read_bytes() != text.encode():
+        raise ValueError(f"{folder} has another {ENTRY_FILE} already; choose another folder, or give overwrite=True")
     content = onnx_bytes(module, *widths(described), tolerance=tolerance)
     # entry.toml last, because it makes the folder an entry.
-    write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
+    write_together({Path(folder) / POLICY_FILE: content, path: text})
     return Path(folder)
 
 
@@ -142,7 +150,9 @@ def _check_form(playable: _Playable, n_observation: int, n_action: int) -> None:
     try:
         shapes = [tuple(tensor.shape) for tensor in playable(*inputs)]
     except Exception as error:
-        raise ValueError(f"{label % 'cannot answer'}: {_first_line(error)}") from error
+        raise ValueError(
+            f"{label % 'cannot answer'}: {_first_line(error)}; give the environment and modes of its training"
+        ) from error
     expected = [(2, width) for width in (n_action, *playable.state_widths)]
     if shapes != expected:
         raise ValueError(f"{label % 'must answer'} by actions and next states of shapes {expected}, got {shapes}")
