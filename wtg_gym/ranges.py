@@ -35,10 +35,12 @@ class ByName(dict[str, Value]):
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
     """Return the end of an error about an unknown name: "; did you mean 'paper'?", or "" if no known one is near.
 
-    A known name is near if it is spelt alike, or holds the unknown one.
+    A known name is near if it has the same signs, is spelt alike, or holds the unknown one.
     """
     names, text = {option.casefold(): str(option) for option in known}, str(name).casefold()
-    close = difflib.get_close_matches(text, names, n=1) or [other for other in names if text in other and len(text) > 2]
+    close = [other for other in names if sorted(other) == sorted(text)]
+    close = close or difflib.get_close_matches(text, names, n=1, cutoff=0.7)
+    close = close or [other for other in names if text in other and len(text) > 2]
     return f"; did you mean {names[close[0]]!r}?" if close else ""
 
 

@@ -68,7 +68,7 @@ BATCH = [
     ({"n_threads": 1.5}, "n_threads.*1.5"),
     ({"autoreset_mode": "x"}, "'x'"),
     ({"max_episode_steps": 0}, "max_episode_steps.*0"),
-    ({"render_mode": "human"}, "unknown render_mode 'human'"),
+    ({"render_mode": "human"}, "unknown render_mode of GFMWTGVectorEnv 'human'"),
 ]
 SCENARIOS: list[tuple[dict[str, Any], str]] = [
     ({"seed": 2**70}, "Scenario.seed must be a whole number in 0 … 9223372036854775807"),

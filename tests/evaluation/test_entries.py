@@ -91,6 +91,8 @@ def test_law_and_folder_of_ones_own_are_entries(tmp_path, monkeypatch):
     shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "ppo-k-3")
     monkeypatch.chdir(tmp_path)
     assert [entry.training_seed for entry in load_entries("ppo-k-3")] == [2]
+    with pytest.raises(ValueError, match="did you mean 'ppo-k-3'"):
+        load_entries("ppo_k3")
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ class OverBatch:
                 f"known settings: {', '.join(known)}{did_you_mean(unknown[0], known)}"
             )
         if render_mode is not None:
-            require_choice("render_mode", render_mode, self.metadata["render_modes"])
+            require_choice(f"render_mode of {type(self).__name__}", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.settings = EnvSettings(**arguments)
         self._batch = EnvBatch(self.settings, num_envs, n_threads)

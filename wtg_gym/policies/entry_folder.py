@@ -266,13 +266,15 @@ def _import(name: str, spec: str) -> ModuleType:
 
 def _allowed(text: str) -> str:
     """Return the end of an error about a wrong entry: the names like it, or all."""
-    if text.endswith(".py"):
-        return f"; did you mean {'.'.join(Path(text).with_suffix('').parts) + ':ENTRY'!r}?"
+    file, _, attribute = text.partition(":")
+    if file.endswith(".py"):
+        return f"; did you mean {'.'.join(Path(file).with_suffix('').parts) + ':' + (attribute or 'ENTRY')!r}?"
     shipped = (name for folder in policy_folders() if (name := policy_name(folder)))
     baselines = (entry.name for entry in _baselines())
     names = dict.fromkeys((*LAW_NAMES, *baselines, BASELINES, *shipped, POLICIES))
     known = f'{", ".join(map(repr, names))}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
-    return did_you_mean(text, names) or f"; allowed are {known}"
+    own = (str(path.parent) for path in Path().glob(f"*/{ENTRY_FILE}"))
+    return did_you_mean(text, (*own, *names)) or f"; allowed are {known}"
 
 
 def _baselines(version: str | None = None) -> list[Entry]:
