@@ -114,7 +114,7 @@ def test_export_leaves_authors_to_fill_in_and_replaces_no_other_description(tmp_
     folder = export_onnx(module, tmp_path / "mine", name="mine")
     assert "authors must be a list of 1" in read_submission(folder).refusal.reason
     assert export_onnx(module, folder, name="mine") == folder
-    with pytest.raises(ValueError, match="has another entry.toml already; choose another folder, or give overwrite"):
+    with pytest.raises(ValueError, match="choose another folder, or give overwrite=True"):
         export_onnx(module, folder, **ENTRY)
     assert read_submission(export_onnx(module, folder, overwrite=True, **ENTRY)).accepted
 
