@@ -14,12 +14,14 @@ import pytest
 import wtg_gym
 from tests.envs import rollouts
 from tests.interruption import interrupted
-from wtg_gym import Entry, Plant, Results, TrackingLaw, evaluate, get_law, get_suite, load_entries, simulate
+from wtg_gym import Entry, GroupTrip, Plant, Results, TrackingLaw, evaluate, get_law, get_suite, load_entries, simulate
 from wtg_gym.envs.batch import EnvBatch
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import PolicyError
 from wtg_gym.evaluation.evaluator import Progress, departures, recompute
 from wtg_gym.evaluation.metrics import quasi_steady_deviation
 from wtg_gym.evaluation.partial import PartialStore
+from wtg_gym.evaluation.recording import recorded
 from wtg_gym.physics.parameters import TurbineParameters
 
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
@@ -367,3 +369,13 @@ def test_tripped_groups_are_counted_where_the_run_goes_on():
     tripped = [e for e in results.episodes_of("mppt") if e.metrics["tripped_groups"] > 0.0]
     assert tripped and all(e.failure == "" and e.metrics["survived_s"] == pytest.approx(60.0) for e in tripped)
     assert Plant().trips_groups is False
+
+
+def test_the_slowest_rotor_is_one_of_a_connected_group():
+    trips = [GroupTrip(time_s=2.0 if group == 3 else 1.0, group=group) for group in range(4)]
+    scenario = dataclasses.replace(get_suite("standard-v1").scenario(10_000), events=trips)
+    run = recorded(*load_entries("coordinated-tuned"), EnvSettings(suite="standard-v1"), [scenario])
+    slowest, stored = run.rotor_speed_pu[:, 0], run.stored_mj[:, 0, 3]
+    assert np.array_equal(np.isnan(slowest), run.time_s > 2.0)
+    last = (run.time_s > 1.0) & (run.time_s <= 2.0)
+    assert np.ptp(slowest[last] ** 2 / stored[last]) < 1e-12

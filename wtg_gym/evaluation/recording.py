@@ -37,7 +37,7 @@ class Recorded:
     worst_hz: Floats  # of the bus or unit farthest from nominal
     wind_m_s: Floats  # mean over the turbines
     power_mw: Floats  # of all groups
-    rotor_speed_pu: Floats  # of the slowest rotor
+    rotor_speed_pu: Floats  # of the slowest rotor of a connected group
     unserved_mw: Floats  # load
     stored_mj: Floats  # kinetic energy of the rotors of each group (n, num_envs, n_wtg)
     whole: npt.NDArray[np.bool_]  # whether each episode went to its end, with all groups connected (num_envs,)
@@ -65,17 +65,18 @@ def recorded(entry: Entry, settings: EnvSettings, scenarios: Sequence[Scenario],
         connected, samples = np.ones(batch.num_envs, dtype=np.bool_), []
         for running, _ in itertools.chain([(connected.copy(), None)], play(entry, batch)):
             rotors, power = simulator.wtg_values("rotor_speed"), simulator.wtg_values("power")
+            on = simulator.wtg_values("connected") > 0.5
             columns = {
                 "frequency_hz": batch.nominal_hz * simulator.env_values("coi"),
                 "worst_hz": batch.nominal_hz * simulator.env_values("worst"),
                 "wind_m_s": simulator.wtg_values("wind") @ rating_mva / rating_mva.sum(),
                 "power_mw": power @ rating_mva,
-                "rotor_speed_pu": rotors.min(axis=1),
+                "rotor_speed_pu": np.fmin.reduce(np.where(on, rotors, np.nan), axis=1),
                 "unserved_mw": base_mva * simulator.env_values("unserved"),
                 "stored_mj": inertia * rating_mva * np.square(rotors),
             }
             samples.append({name: np.where(running, values.T, np.nan).T for name, values in columns.items()})
-            connected &= (simulator.wtg_values("connected") > 0.5).all(axis=1)
+            connected &= on.all(axis=1)
         series = {name: np.array([each[name] for each in samples]) for name in samples[0]}
         return Recorded(
             time_s=batch.settings.step_s * np.arange(len(samples), dtype=np.float64),
