@@ -11,7 +11,9 @@ import pytest
 from wtg_gym import Entry, Scenario, evaluate, get_suite, simulate
 from wtg_gym.plotting import figure_bytes, plot_trajectories, save_figure
 from wtg_gym.plotting.live import OWN, REFERENCE, Match
+from wtg_gym.plotting.style import law_looks
 from wtg_gym.scenarios import Suite
+from wtg_gym.tasks import V1
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -50,6 +52,11 @@ def test_figures_are_saved_next_to_each_other_in_the_formats_that_are_named(tmp_
     with pytest.raises(ValueError, match="written as png, svg, pdf, got 'bmp'"):
         save_figure(figure, tmp_path / "other", ["png", "bmp"])
     assert not list(tmp_path.glob("other*"))
+
+
+def test_an_entry_looks_the_same_beside_the_law_at_100_and_beside_all_references():
+    two = law_looks(["mine", V1.hundred])
+    assert two == {name: law_looks(["mine", *V1.references])[name] for name in two}
 
 
 @pytest.fixture(scope="module", params=["standard-v1", "standard"])

@@ -51,9 +51,12 @@ LAW_LOOKS = {
     "coordinated-linear": Look("#009E73", (0.0, (6.0, 1.3, 1.2, 1.3, 1.2, 1.3))),
     "coordinated-piecewise": Look("#0072B2"),
     "coordinated-undamped": Look("#56B4E9", (0.0, (1.2, 1.2))),
+    "coordinated-tuned": Look("#000000", (0.0, (10.0, 2.0))),
+    # Wine: of the palette only yellow is left.
+    "coordinated-free": Look("#882255", (0.0, (2.5, 1.0, 2.5, 3.0))),
 }
-# Black first, which no law has; yellow, weak on white, last.
-_FREE_COLOURS = ("#000000", *PALETTE[:6], PALETTE[7])
+# Without those of the references of v1, so that an entry looks the same beside one of them and beside all.
+_FREE_COLOURS = (*PALETTE[1:6], PALETTE[7])
 _FREE_DASHES: tuple[Dashes, ...] = ("-", (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (0.0, (5.0, 1.4, 1.2, 1.4)))
 
 #: Widths, sizes and fonts of print, for matplotlib.
