@@ -88,14 +88,14 @@ def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
 def run_evaluation(entries: Sequence[Entry], folder: Path | None, **options: Any) -> Results:
     """Evaluate with progress on stderr, and leave out an entry whose policy fails; `options` are those of `evaluate`.
 
-    Finished parts are kept beside the results in a folder, if there is one; after Ctrl-C, it is named.
+    Finished parts are kept beside the results in a folder, if there is one; after Ctrl-C, it is named if it holds some.
     """
     partial = None if folder is None else folder / "partial"
     try:
         with Progress("episodes") as progress:
             return evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
     except KeyboardInterrupt:
-        if partial is not None:
+        if partial is not None and any(partial.glob("*.json")):
             note(f"finished parts are kept in {partial}: run the same command again to go on")
         raise
 
