@@ -77,6 +77,9 @@ def test_interrupted_leaderboard_keeps_its_finished_parts(capsys, monkeypatch, t
     partial = Path("results") / "partial"
     assert f"finished parts are kept in {partial}: run the same command again to go on" in capsys.readouterr().err
     assert list(partial.glob("*.json"))
+    monkeypatch.setattr(evaluator, "play_batch", interrupted(evaluator.play_batch))
+    assert main([*_LEADERBOARD, "deloaded-5", "--results", "other"]) == 130
+    assert "finished parts" not in capsys.readouterr().err
 
 
 def test_leaderboard_ranks_writes_and_updates_the_readme(capsys, tmp_path):
@@ -194,6 +197,7 @@ def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):
     assert "a &amp; b" in text and "a & b" not in text
     assert "By chance alone so many more would come" in text
     assert f"--split validation --seeds 10000 --entries {shlex.quote(str(law))}" in html.unescape(text)
+    assert "Kind: law. Scores" in text
 
 
 def test_a_page_of_markdown_has_the_numbers_of_the_evaluation_and_the_dearest_scenario_first(tmp_path):

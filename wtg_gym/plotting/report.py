@@ -43,6 +43,7 @@ _PANELS: Mapping[str, Callable[[recording.Recorded], statistics.Floats]] = {
     "wind, mean [m/s]": lambda run: run.wind_m_s,
     "power of all turbines [MW]": lambda run: run.power_mw,
     "slowest rotor [p.u.]": lambda run: run.rotor_speed_pu,
+    "load not served [MW]": lambda run: run.unserved_mw,
 }
 #: Margin, J + J0 and whether the run is bad, of each scenario, (n_scenarios,) each.
 OverMargin = tuple[statistics.Floats, statistics.Floats, statistics.Floats]
@@ -83,9 +84,9 @@ class Section:
         if self.note:
             parts.append(_plain(self.note))
         for picture in self.pictures:
-            parts.append(f"![{_plain(picture.caption)}]({stem}-{picture.name}.svg)")
             if picture.command:
                 parts.append(f"{_plain(picture.caption)}\n\n```sh\n{picture.command}\n```")
+            parts.append(f"![{_plain(picture.caption)}]({stem}-{picture.name}.svg)")
         return "\n\n".join(parts)
 
 
@@ -151,7 +152,8 @@ def report_files(report: Report, stem: str, on_progress: evaluator.Progress) -> 
     source = f"Source: {entry.source}." if entry.source else ""
     origin = "stored results" if report.stored else "played for this page"
     scores = f"Scores: {origin}, wtg_gym {versions['wtg_gym']}."
-    subtitle = [entry.description, f"Kind: {entry.kind}, on top of the law {entry.law.name}.", source, scores]
+    beneath = "" if entry.policy is None else f", on top of the law {entry.law.name}"
+    subtitle = [entry.description, f"Kind: {entry.kind}{beneath}.", source, scores]
     title, pictures = f"Report: {entry.label}", dict[str, bytes]()
     parts = [f"# {_plain(title)}", _plain(" ".join(filter(None, subtitle)))]
     for done, section_of in enumerate(_SECTIONS):
@@ -192,7 +194,7 @@ def _score(report: Report) -> Section:
     rows = [(name, str(counts.get(name, len(results.seeds))), *_interval(value)) for name, value in values.items()]
     zero, hundred = results.task.anchors
     if row.marked:
-        mark = f"✓: no less reliable than {hundred}: the chance test below finds no more bad or lost runs."
+        mark = f"This entry has the mark ✓: the chance test below finds no more bad or lost runs than {hundred} has."
     else:
         mark = (
             f"No ✓: less reliable than {hundred}. If both were equally reliable, so many more bad runs would come with "
@@ -216,7 +218,8 @@ def _where_control_decides(report: Report) -> Section:
     return Section(
         heading="Where control decides",
         sentence="Cost and bad runs over the reserve margin, the power that turbines and machines could still add in "
-        f"per cent of the load: below 1, an entry pays less than {report.hundred}.",
+        f"per cent of the load. Below 1 in (a) an entry pays less than {report.hundred}; J: cost, J0: a constant of "
+        "the stratum; grey lines: limits of the strata.",
         pictures=[Picture(name="margin", figure=figure, caption=caption)],
     )
 
@@ -327,7 +330,7 @@ def _scenario_picture(report: Report, seed: int) -> Picture:
 
 @style.printed
 def _plot_scenario(scenario: Scenario, runs: Mapping[str, recording.Recorded]) -> "Figure":
-    figure = style.new_figure(style.SINGLE_COLUMN_MM, 125.0)
+    figure = style.new_figure(style.SINGLE_COLUMN_MM, 150.0)
     looks = style.law_looks(runs)
     panels = figure.subplots(len(_PANELS), 1, sharex=True)
     for axes, (label, values) in zip(panels, _PANELS.items(), strict=True):
@@ -383,11 +386,12 @@ def _faults_of_sensors(report: Report) -> Section:
     return Section(
         heading="Faults of sensors",
         sentence="Change of the score, in points, where measurements are worse or those of the largest group fail, on "
-        f"the first {len(seeds)} scenarios alone.",
+        f"the first {len(seeds)} scenarios alone."
+        if rows
+        else "A law has no sensors: nothing changes.",
         header=("fault", "change [points]", "95 % interval", "bad runs"),
         rows=rows,
         numbers=(1, 2, 3),
-        note="" if rows else "A law has no sensors: nothing changes.",
     )
 
 
