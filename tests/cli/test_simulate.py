@@ -164,11 +164,12 @@ for arguments in (
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes break in another way there")
-def test_reader_that_leaves_early_is_no_error():
+@pytest.mark.parametrize("words", ["suites standard --seed 20003 --json", "--help"])
+def test_reader_that_leaves_early_is_no_error(words):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     reading, writing = os.pipe()
     os.close(reading)
-    command = [sys.executable, "-m", "wtg_gym.cli", "suites", "standard", "--seed", "20003", "--json"]
+    command = [sys.executable, "-m", "wtg_gym.cli", *words.split()]
     done = subprocess.run(command, env=environment, stdout=writing, stderr=subprocess.PIPE, timeout=300)
     os.close(writing)
     assert done.returncode == 141

@@ -91,6 +91,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of a pipe has seen enough; the interpreter must not complain when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except SystemExit as end:
+        # What rich makes of it, which prints the help.
+        if isinstance(end.__context__, BrokenPipeError):
+            return 141
+        raise
     except CycloptsError as error:
         command = " ".join(("wtg-gym", *(error.command_chain or ())))
         note(f"wtg-gym: error: {one_line(error)} (see: {command} --help)")
