@@ -30,8 +30,9 @@ def evaluate(
 
     In version v0 a score of 0 is maximum power point tracking (mppt) and 100 the paper's law (coordinated-piecewise).
     In v1, 0 is the paper's law and 100 the same law tuned to that grid (coordinated-tuned). Both are always played,
-    because they fix the scale. A policy plays in the version whose observations it takes. The default split is for
-    choosing policies; 'wtg-gym leaderboard' and 'wtg-gym submission score' play the test scenarios.
+    because they fix the scale; in v1 coordinated-free too, whose known mean corrects for the draw. A policy plays in
+    the version whose observations it takes. The default split is for choosing policies; 'wtg-gym leaderboard' and
+    'wtg-gym submission score' play the test scenarios.
 
     With --results, every episode is written to <suite>-<split>.csv, description and summary to <suite>-<split>.json,
     and an interrupted evaluation continues from its finished parts. Earlier results of the same scenarios and settings
@@ -67,7 +68,7 @@ def leaderboard(
     entries: options.Entries = ("baselines",),
     suite: options.Suite = options.DEFAULT_SUITE,
     results: options.OutputFolder = Path("results"),
-    readme: Annotated[tuple[Path, ...], Parameter(consume_multiple=True, negative="")] = (),
+    readme: Annotated[tuple[Path, ...], Parameter(consume_multiple=1, negative="", show_default=False)] = (),
     threads: options.Threads = None,
     json: options.Json = False,
     workers: options.WorkerOptions = options.WorkerOptions(),

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from wtg_gym.cli.options import Flag, JsonFile
+from wtg_gym.cli.options import Flag, JsonFile, Words
 from wtg_gym.cli.output import note, print_table, write_and_say
 
 app = App(name="grid", help="grids of your own: bring one in, check it")
@@ -18,9 +18,9 @@ def import_grid(
     *,
     output: JsonFile,
     dynamic: Path | None = None,
-    wind: Annotated[tuple[int, ...], Parameter(consume_multiple=True)] = (),
+    wind: Annotated[tuple[int, ...], Parameter(consume_multiple=1, negative="", show_default=False)] = (),
     frequency: float | None = None,
-    drop: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
+    drop: Words = (),
     substitute: Flag = False,
 ) -> int:
     """Turn a case of another program into a grid's file.
@@ -37,9 +37,11 @@ def import_grid(
       wtg-gym evaluate --suite ieee39.json                      score the laws on it
 
     Args:
+        case: the other program's file
         dynamic: DYR file with the machines of a RAW file
-        wind: buses whose machines turbines of 5 MW replace, rated for 2.1 times what these give, besides the wind parks
-            of the case; default: the largest, up to 60 % of the power (turbines of up to 1.25 times the load)
+        wind: buses whose machines are replaced by turbines of 5 MW (rated for 2.1 times the power they gave);
+            wind parks of the case stay turbines; default: the largest, up to 60 % of the power (turbines of up to 1.25 times
+            the load)
         frequency: nominal frequency [Hz]; default: the file's
         drop: types of element to leave out, as the refusal calls them
         substitute: put typical controls in the place of models that are not here, or leave those out
@@ -70,6 +72,9 @@ def check(grid: str, /) -> int:
       wtg-gym grid check ieee39
       wtg-gym grid check weak-grid-v1
       wtg-gym grid check my_grid.json
+
+    Args:
+        grid: a grid or suite of the package by its name, or a .json file
     """
     from wtg_gym.grids.describe import describe_equilibrium, describe_grid, describe_starts, grid_of
 

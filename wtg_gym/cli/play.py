@@ -51,7 +51,7 @@ def play(
     server = Server({"/": fill}, port=port, address="localhost")
     url = f"http://localhost:{server.port}/"
     server.start()
-    output.note(f"the page is at {url}; Ctrl-C ends it")
+    output.note(f"open {url} (Ctrl-C ends it)")
     if not no_browser and not webbrowser.open(url):
         output.note("there is no browser here: open that address in a browser on this machine")
     try:

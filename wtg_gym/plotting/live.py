@@ -26,9 +26,10 @@ _CHARTS = {
     "wind": "wind of each group [m/s]",
 }
 _INTRODUCTION = """<h2>Hold the frequency by hand</h2>
-Keep {nominal:g} Hz with the wind turbines, and let no rotor stall. The reference (dashed) plays the same scenario
-beside you and never acts. k up: the groups give more power and their rotors slow down; k down: they save. τ up: slower
-damping. Events are not announced. The arrow keys move the slider that was clicked last."""
+Keep {nominal:g} Hz with the wind turbines, and let no rotor stall. The reference (dashed), the published law
+coordinated-piecewise, plays the same scenario beside you. The sliders are an agent's actions on that law, −1 … 1; at 0
+it stays as it is. k up: the groups give more power and their rotors slow down; k down: they save. τ up: slower damping.
+Events are not announced. The arrow keys move the slider that was clicked last."""
 
 
 class Match:
