@@ -98,7 +98,7 @@ def plot_energy(
             axes.plot(run.time_s, values, label=f"group {group + 1}")
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
-    panels[0, 1].legend(loc="upper right", ncols=2)
+    panels[0, 0].legend(loc="upper right", ncols=2)
     for letter, axes, (stratum, played) in zip("cd", panels[1], of_strata.items(), strict=True):
         style.letter_panel(axes, letter, f"{stratum}: energy lent by all groups, mean [MJ]")
         for name, run in played.items():
@@ -108,6 +108,7 @@ def plot_energy(
             )
         axes.set_xlabel("time [s]")
     panels[1, 1].legend(loc="lower right")
+    explain_events(figure, scenario)
     return figure
 
 
