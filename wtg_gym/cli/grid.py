@@ -39,8 +39,8 @@ def import_grid(
     Args:
         case: the other program's file
         dynamic: DYR file with the machines of a RAW file
-        wind: buses whose machines are replaced by turbines of 5 MW (rated for 2.1 times the power they gave);
-            wind parks of the case stay turbines; default: the largest, up to 60 % of the power (turbines of up to 1.25 times
+        wind: buses whose machines are replaced by turbines of 5 MW, rated for 2.1 times the power they give; wind
+            parks of the case stay turbines; default: the largest, up to 60 % of the power (turbines of up to 1.25 times
             the load)
         frequency: nominal frequency [Hz]; default: the file's
         drop: types of element to leave out, as the refusal calls them
