@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from onnx import ModelProto, TensorProto, helper, numpy_helper, parser
 
-from wtg_gym.policies import onnx_worker
+from wtg_gym.policies import locked_worker
 
 #: Widths of the local observation of two groups, and of both actions.
 N, M = 20, 4
@@ -45,8 +45,8 @@ def worker(script: Path, code: str) -> str:
     Returns:
         its path.
     """
-    place = str(Path(onnx_worker.__file__).parent)
-    start = f"import sys\nsys.path.insert(0, {place!r})\nimport onnx_worker as worker\n"
+    place = str(Path(locked_worker.__file__).parent)
+    start = f"import sys\nsys.path.insert(0, {place!r})\nimport locked_worker as worker\n"
     script.write_text(f"{start}{code}\nworker.main()\n", encoding="utf-8")
     return str(script)
 

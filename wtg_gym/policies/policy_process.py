@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import printable, read_bytes, sha256
-from wtg_gym.policies import onnx_worker
-from wtg_gym.policies.onnx_worker import ACTIONS, LENGTH
+from wtg_gym.policies import locked_worker
+from wtg_gym.policies.locked_worker import ACTIONS, LENGTH
 
 Floats = npt.NDArray[np.float32]
 #: The recurrent states, (num_envs, n) each.
@@ -40,7 +40,7 @@ STEP_S = 10.0
 TOTAL_S = 1800.0
 #: How often the waiting is looked at [s].
 _WATCH_S = 0.2
-_SCRIPT = onnx_worker.__file__
+_SCRIPT = locked_worker.__file__
 #: Longest message that the process may send [bytes].
 _LONGEST_MESSAGE = 65_536
 #: Most states and most values of an input or output, more than any policy of this benchmark needs.
