@@ -34,7 +34,7 @@ def grids() -> str:
         columns.append(lines)
     same = ("step", "state below", "stable")  # the page says it once
     assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)
-    left_out = ("name", "source", "repaired", "replaced", "voltages", "mode", "equilibrium", "cost of a run", *same)
+    left_out = ("name", "source", "repaired", "assumed", "voltages", "mode", "equilibrium", "cost of a run", *same)
     rows = [key for key in columns[0] if key not in left_out]
     cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]
     return markdown_table(("", *(f"`{name}`" for name in known_grids())), cells)

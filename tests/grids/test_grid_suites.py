@@ -184,7 +184,7 @@ def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp
     output = tmp_path / "ne.json"
     assert main(["grid", "import", str(network), "--output", str(output), "--wind", "33", "35"]) == 0
     message = capsys.readouterr().err
-    assert "all 10 are typical ones" in message and str(output) in message
+    assert "all 10 machines are typical ones" in message and "turbines at bus 33: " in message and str(output) in message
     grid = get_grid(str(output))
     assert grid.case.frequency_hz == 60.0 and grid.case.base_mva == 100.0
     assert len(grid.case.branches) == 46 and grid.case.bus_numbers == get_grid("ieee39").case.bus_numbers
@@ -194,7 +194,7 @@ def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp
 
     assert main(["grid", "check", str(output)]) == 0
     rows = capsys.readouterr().out
-    assert "39 buses, 46 branches" in rows and "all 10 are typical ones" in rows
+    assert "39 buses, 46 branches" in rows and "all 10 machines are typical ones" in rows
     short = ("--scenarios", "1", "--duration", "2", "--entries", "mppt", "--json")
     assert "mppt" in str(json_of(capsys, "evaluate", "--suite", str(output), *short))
 

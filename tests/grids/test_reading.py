@@ -203,7 +203,7 @@ NOT_A_CASE = [
     ("3 1 90 30", "3.5 1 90 30", "row 3 of its table bus has the bus number 3.5; allowed: whole numbers from 1"),
     ("3 1 90 30", "3 1 90", "row 3 of its table bus has 12 numbers, the first one 13"),
     ("baseMVA = 100.0", "baseMVA = 100/2", "its baseMVA has '100/2' in row 1, which is no number"),
-    ("baseMVA = 100.0", "baseMVA = 0", "its baseMVA is 0; allowed: more than 0"),
+    ("baseMVA = 100.0", "baseMVA = 100e6", "its baseMVA = 1e+08 MVA is outside the allowed range 0.1 … 100000 MVA"),
     (
         "mpc.genfuel =",
         "mpc.dcline = [1 3 1\n1 3];\nmpc.genfuel =",
@@ -224,7 +224,7 @@ def test_unknown_scalars_of_MATPOWER_and_a_missing_slack_bus_are_noted_and_limit
     path.write_text(path.read_text().replace("[1 3 0", "[1 2 0").replace("1 200 0;", "1 Inf NaN;"))
     grid = read_case(path)
     assert "passed over: const_int, time_elapsed, const_str" in notes(grid)
-    assert "names no slack bus; the one of the largest generator is taken: 2" in notes(grid)
+    assert "names no slack bus; the voltage-controlled bus with the largest generator is taken: 2" in notes(grid)
     assert grid.case.slack_bus == 2 and grid.case.load_mw == 110.0
 
 

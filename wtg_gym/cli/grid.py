@@ -54,6 +54,10 @@ def import_grid(
     for line in (*grid.repairs, *grid.substitutions):
         note(line)
     made = with_wind(grid, wind)
+    for group in made.groups:
+        mva = sum(machine.rating_mva for machine in made.case.machines if machine.bus == group.bus)
+        what = "in place of" if group.bus in made.replaced else "beside"
+        note(f"turbines at bus {group.bus}: {group.n_turbines:g} × 5 MW {what} {mva:.0f} MVA")
     write_and_say(output, grid_text(made))
     try:
         list(describe_equilibrium(made))

@@ -1,6 +1,7 @@
 """A grid in words: sizes, power flow, equilibrium, modes, step."""
 
 import dataclasses
+import math
 import re
 import time
 from collections import Counter
@@ -57,9 +58,12 @@ def describe_grid(grid: Grid) -> Iterator[Line]:
     yield "base", f"{case.base_mva:g} MVA, {case.frequency_hz:g} Hz"
     yield "load", f"{case.load_mw:.1f} MW"
     yield "machines", f"{len(machines)}, {rating:.0f} MVA together, {len(governed)} with a governor"
-    yield "WTG groups", f"{len(grid.groups)}, {turbines:g} turbines together, in place of {replaced} others"
+    others = f", in place of {replaced} others" if replaced else ""
+    yield "WTG groups", f"{len(grid.groups)}, {turbines:g} turbines together{others}"
+    if odd := [f"{branch.from_bus}-{branch.to_bus}" for branch in case.branches if branch.reactance < 0.0]:
+        yield "negative reactance", f"of branches {', '.join(odd)}"
     yield "source", f"{grid.source or 'not given'}; licence: {grid.licence or 'not given'}"
-    for name, lines in (("repaired", grid.repairs), ("replaced", grid.substitutions)):
+    for name, lines in (("repaired", grid.repairs), ("assumed", grid.substitutions)):
         for line in lines:
             yield name, line
 
@@ -103,8 +107,12 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
     for damping, hertz in linearisation.swing_modes(matrix)[:3]:
         yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
-    growing = [value for value in np.linalg.eigvals(matrix) if value.real > 1e-6]
-    yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"
+    growing = [
+        f"{value.real:+.3g}/s" + (f" at {value.imag / math.tau:.2f} Hz" if value.imag else "")
+        for value in np.linalg.eigvals(matrix)
+        if value.real > 1e-6 and value.imag >= 0.0
+    ]
+    yield "stable", "yes" if not growing else f"no, modes grow: {', '.join(growing)}"
 
 
 def describe_starts(suite: str) -> Iterator[Line]:

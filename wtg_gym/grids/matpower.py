@@ -22,6 +22,7 @@ from scipy.io.matlab import MatReadError
 from wtg_gym.extras import install_advice
 from wtg_gym.files import parse_json, read_text
 from wtg_gym.grids import solved_case
+from wtg_gym.ranges import require_range
 
 #: What every file of a network of pandapower says before its tables.
 _MARK, _MARK_WITHIN = "pandapowerNet", 300
@@ -79,8 +80,7 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     else:
         data, fuels = _written_tables(read_text(path, "case", or_latin=True))
     base_mva = _matrix("baseMVA", [[data["baseMVA"]]])[0, 0]
-    if not 0.0 < base_mva < math.inf:
-        raise ValueError(f"its baseMVA is {base_mva:g}; allowed: more than 0")
+    require_range("its baseMVA", base_mva, 0.1, 1e5, "MVA")
     tables = {name: _matrix(f"table {name}", data[name]) for name in ("bus", "gen", "branch")}
     notes: list[str] = []
     unknown = {name: value for name, value in data.items() if name not in _SILENT.split()}

@@ -22,7 +22,7 @@ TOLERANCE = 1e-6
 #: Phase shift around a loop that counts as one [rad].
 _LEAST_SHIFT = 1e-9
 #: Notes of readers.
-NO_SLACK = "the case names no slack bus; the one of the largest generator is taken: {}"
+NO_SLACK = "the case names no slack bus; the voltage-controlled bus with the largest generator is taken: {}"
 OFF = "buses out of service with {:.6g} MW of load: {}"
 _OTHER = "the grid would not be the one of the file"
 #: Difference between a load and what the solution takes that rounding makes [MVA].
@@ -253,7 +253,7 @@ def _machines(
     if dynamics is not None:
         dynamics.require_known()
     elif records:
-        case.notes.append(f"the case has no machines; all {len(records)} are typical ones")
+        case.notes.append(f"the file has no dynamic data; all {len(records)} machines are typical ones")
     return records
 
 

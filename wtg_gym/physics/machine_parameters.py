@@ -274,7 +274,9 @@ class SynchronousMachineParameters(Checked):
     two_h_s: float = required("s", "Milano", "starting time 2H", 1e-3, 1e9)
     x_d: float = required("p.u.", "Milano", "synchronous reactance, d axis", 1e-6, 1e6)
     x_d_transient: float = required("p.u.", "Milano", "transient reactance, d axis", 1e-6, 1e6)
-    x_subtransient: float = required("p.u.", "Milano", "subtransient reactance of both axes", 1e-6, 1e6)
+    x_subtransient: float = required(
+        "p.u.", "Milano", "subtransient reactance of both axes (Milano at bus 1: x''_q = 0.4, T'_q0 = 0)", 1e-6, 1e6
+    )
     x_q: float = required("p.u.", "Milano", "synchronous reactance, q axis", 1e-6, 1e6)
     x_q_transient: float = required("p.u.", "Milano", "transient reactance, q axis", 1e-6, 1e6)
     t_d0_transient_s: float = required("s", "Milano", "open-circuit transient time constant, d axis", 1e-4, 1e6)
@@ -282,7 +284,7 @@ class SynchronousMachineParameters(Checked):
     t_q0_transient_s: float = parameter(1.0, "s", "Milano", "open-circuit transient time constant, q axis", 1e-4, 1e6)
     t_q0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, q axis", 1e-4, 1e6)
     x_leakage: float = design(0.1, "p.u.", "leakage reactance; Milano's exceeds x''_d or is 0", 0.0, 1e6)
-    resistance: float = design(0.0, "p.u.", "armature resistance, neglected (Milano: at most 0.0031)", 0.0, 1e3)
+    resistance: float = design(0.0, "p.u.", "armature resistance, neglected (Milano: at most 0.0041)", 0.0, 1e3)
     damping_pu: float = parameter(2.0, "p.u./p.u.", "Milano", "damping D", 0.0, 1e6)
     dispatch_mw: float = design(0.0, "MW", "power in the initial power flow; slack machines balance", -1e9, 1e9)
     reactive_weight: float | None = design(None, "MVA", "weight at its bus's reactive power; None: rating", 0.0, 1e12)
