@@ -10,7 +10,7 @@ import os
 import re
 import types
 from collections.abc import Collection, Iterable, Mapping
-from typing import Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -156,6 +156,11 @@ class Checked:
     RISING: ClassVar[tuple[str, ...]] = ()
     #: Most items of single fields; of the others :data:`MOST_ITEMS`.
     MOST: ClassVar[Mapping[str, int]] = types.MappingProxyType({})
+
+    def __new__(cls, *_: Any, **values: Any) -> Self:
+        record: Any = cls
+        require_known(f"arguments of {cls.__name__}", values, [field.name for field in dataclasses.fields(record)])
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         record: Any = type(self)

@@ -18,6 +18,7 @@ from tests.cli.calls import ROOT, error_of, json_of
 from wtg_gym import Scenario, evaluate, get_suite, simulate
 from wtg_gym.cli import build_app, main, options
 from wtg_gym.cli.output import note, print_json, print_table, say
+from wtg_gym.physics.scenario import GroupTrip
 from wtg_gym.scenarios import DEFAULT_SUITE, FROZEN_HASHES, SUITES
 from wtg_gym.systems.compiled import cache_folder
 
@@ -43,6 +44,8 @@ def test_the_group_that_tripped_is_named(capsys):
     assert run["status"] == "completed"
     assert [(trip["group"], trip["cause"]) for trip in run["tripped_groups"]] == [(2, "event")]
     assert main(arguments) == 0
+    at_s = [event.time_s for event in get_suite("standard-v1").scenario(10029).events if isinstance(event, GroupTrip)]
+    assert [trip["time_s"] for trip in run["tripped_groups"]] == pytest.approx(at_s)
     assert f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s (event)" in capsys.readouterr().out
 
 
@@ -85,7 +88,7 @@ def test_key_figures_are_those_of_the_arrays_of_a_run(capsys):
     assert [trip["group"] for trip in figures["tripped_groups"]] == [1, 2, 3, 4]
     assert {trip["cause"] for trip in figures["tripped_groups"]} == {"under-speed"}
     for trip in figures["tripped_groups"]:
-        after, power = run.time_s >= trip["time_s"] - 1e-6, run.power_pu[:, trip["group"] - 1]
+        after, power = run.time_s > trip["time_s"] + 1e-6, run.power_pu[:, trip["group"] - 1]
         assert (power[after] == 0.0).all() and power[~after][-1] != 0.0
 
 

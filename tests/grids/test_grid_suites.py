@@ -19,7 +19,7 @@ from tests.physics.test_grid_files import STRANGER
 from wtg_gym import Entry, GFMWTGEnv, evaluate, get_suite
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.grids.describe import describe_equilibrium, grid_of
+from wtg_gym.grids.describe import describe_equilibrium, describe_grid, grid_of
 from wtg_gym.physics.grid import data_of, get_grid, text_of
 from wtg_gym.policies.entry import check_version
 from wtg_gym.scenarios.grid_suite import all_places, unscreened
@@ -184,7 +184,9 @@ def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp
     output = tmp_path / "ne.json"
     assert main(["grid", "import", str(network), "--output", str(output), "--wind", "33", "35"]) == 0
     message = capsys.readouterr().err
-    assert "all 10 machines are typical ones" in message and "turbines at bus 33: " in message and str(output) in message
+    assert (
+        "all 10 machines are typical ones" in message and "turbines at bus 33: " in message and str(output) in message
+    )
     grid = get_grid(str(output))
     assert grid.case.frequency_hz == 60.0 and grid.case.base_mva == 100.0
     assert len(grid.case.branches) == 46 and grid.case.bus_numbers == get_grid("ieee39").case.bus_numbers
@@ -213,6 +215,16 @@ def test_a_suite_is_checked_with_its_own_machines_and_groups(capsys):
         get_suite("standard-v1").plant.groups
     ] * 2
     assert grid_of("ieee39-v1") == (get_grid("ieee39"), "ieee39-v1")
+
+
+def test_modes_that_grow_and_branches_of_negative_reactance_are_named():
+    grid = get_grid("kundur")
+    branches = list(grid.case.branches)
+    branches[7] = replace(branches[7], reactance=-2.0 * branches[7].reactance)
+    odd = replace(grid, case=replace(grid.case, branches=tuple(branches)))
+    lines = dict([*describe_grid(odd), *describe_equilibrium(odd)])
+    assert lines["negative reactance"] == f"of branches {branches[7].from_bus}-{branches[7].to_bus}"
+    assert lines["stable"] == "no, modes grow: +0.224/s at 2.62 Hz, +0.117/s"
 
 
 def test_voltages_beyond_their_usual_range_are_named_with_their_buses():

@@ -122,6 +122,8 @@ RECORDS = [
         for after_s in (-0.5, 0.0, NAN, "soon")
     ),
     (given(wind_speed=11.0), r"got shape \(\); for constant wind write \[\[11.0\], \[9.0\]\]"),
+    (of(sc.LoadStep, power=30.0), "unknown arguments of LoadStep .'power'.; .* did you mean 'power_mw'?"),
+    (lambda: Plant().replaced(droop_gain_pu=20.0), 'a setting of control: plant={"control": {"droop_gain_pu": …}}'),
     (of(TrackingLaw, tau_s=0.8), "unknown arguments of TrackingLaw .'tau_s'.; .*, damping_time_constant_s"),
     (lambda: group_laws(["mppt"] * 3, TURBINES), "one for each of the 2 groups, got 3"),
     (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),
@@ -167,6 +169,7 @@ UNFIT = [
     (fit(line(1.0, 7, 8, 0.5)), "would split the network"),
     (fit(line(1.0, 1, 2), line(1.0, 1, 5)), "would split the network"),
     (fit(*(sc.LoadTrip(time_s=t, bus=9) for t in (1.0, 2.0))), r"disconnects a load twice; .*\[9, 9\]"),
+    (fit(sc.LoadTrip(time_s=1.0, bus=7)), r"no load at bus 7; buses with one: \[2, 3, 4"),
     (fit(line(1.0, 1, 2), line(2.0, 1, 2)), "opens the line 1-2 twice"),
     (fit(line(0.5, 1, 2, 0.525), line(1.0, 1, 2, 0.525)), "opens the line 1-2 twice"),
     (fit(sc.GroupTrip(time_s=1.0, group=2)), "unknown WTG group 2; the plant has 2, counted from 0"),
@@ -356,6 +359,11 @@ def test_every_parameter_has_unit_source_and_description_and_every_number_a_rang
                 assert math.isfinite(low) and math.isfinite(high) and low < high, (record, field.name)
                 with pytest.raises(ValueError, match=rf"{type(record).__name__}.{field.name} = inf"):
                     dataclasses.replace(record, **{field.name: math.inf})
+
+
+def test_a_law_whose_k_rises_with_the_frequency_warns():
+    with pytest.warns(UserWarning, match=r"'x': k rises .* k_min = 0.074 p.u. at ω_min to k_max = 1.024 p.u."):
+        TrackingLaw(name="x", k_min=0.074, k_nominal=0.62, k_max=1.024)
 
 
 def test_harmless_variants_of_a_wind_file_read_the_same(tmp_path):

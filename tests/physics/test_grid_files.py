@@ -29,7 +29,7 @@ ANGLES = (0.0, -4.98, -12.72, -10.33, -8.78, -14.22, -13.37, -13.36, -14.94, -15
 MISTAKES = [
     ({"slack_bus": 7}, "slack bus 7"),
     ({"groups": [{"bus": 13}]}, "unknown bus 13"),
-    ({"machines": [{**STRANGER["machines"][0], "two_h_s": -1.0}]}, "two_h_s"),
+    ({"machines": [{**STRANGER["machines"][0], "two_h_s": -1.0}]}, "at bus 101: .*two_h_s"),
     ({"colour": "red"}, "unknown NetworkCase"),
     ({"branches": [{"from_bus": 12}]}, "Branch .*12.* misses to_bus"),
 ]

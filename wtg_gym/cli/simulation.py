@@ -147,8 +147,8 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
     trips = []
     for group, cause in enumerate(run.trip_causes):
         if cause is not None:
-            # A disconnected group delivers exactly nothing, from its last sample with power on.
-            time_s = run.time_s[np.flatnonzero(run.power_pu[:-1, group]).max(initial=-1) + 1]
+            # A disconnected group delivers exactly nothing after the sample of its trip.
+            time_s = run.time_s[np.flatnonzero(run.power_pu[:, group]).max(initial=0)]
             trips.append({"group": 1 + group, "time_s": _plain(time_s), "cause": _word(cause)})
     figures = {
         "end_time_s": run.time_s[-1],

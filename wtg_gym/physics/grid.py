@@ -284,7 +284,11 @@ def record_of(record: Any, data: Any) -> Any:
         raise ValueError(f"{record.__name__} {dict(data)!r:.300} misses {', '.join(missing)}")
     for name, value in data.items():
         require_items(record, name, value)
-    return record(**{name: _value(field_types[name], value) for name, value in data.items()})
+    try:
+        return record(**{name: _value(field_types[name], value) for name, value in data.items()})
+    except ValueError as error:
+        bus = data.get("bus", data.get("number"))
+        raise ValueError(str(error) if bus is None else f"at bus {bus}: {error}") from error
 
 
 def _value(hint: Any, value: Any) -> Any:

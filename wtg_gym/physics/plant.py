@@ -120,6 +120,11 @@ class Plant(Checked):
                 as in `control={"droop_gain_pu": 20.0}`.
         """
         known = [*(field.name for field in dataclasses.fields(self)), "physics", "machine_model"]
+        for part in dataclasses.fields(self):
+            parts = getattr(getattr(self, part.name), "__dataclass_fields__", ())
+            for name in (fields.keys() & parts) - set(known):
+                of = f'plant={{"{part.name}": {{"{name}": …}}}}'
+                raise ValueError(f"{name} is a setting of {part.name}: {of}")
         require_known("settings of a plant", fields, known)
         case = fields.pop("case", self.case)
         if not isinstance(case, NetworkCase):

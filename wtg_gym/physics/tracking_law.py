@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import math
 import numbers
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,6 +74,12 @@ class TrackingLaw:
             raise ValueError(
                 f"damping_time_constant_s of law {self.name!r} must be {low:g} … {high:g} s, 0 s (cancels the droop) "
                 f"or infinite (keeps it), got {tau!r} s"
+            )
+        if self.k_min < self.k_max:
+            warnings.warn(
+                f"law {self.name!r}: k rises with the frequency, from k_min = {self.k_min:g} p.u. at ω_min to k_max = "
+                f"{self.k_max:g} p.u.; k_min is the largest of a law that supports the frequency",
+                stacklevel=3,
             )
 
     def to_dict(self) -> dict[str, str | float]:
