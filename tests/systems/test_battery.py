@@ -17,6 +17,7 @@ from wtg_gym import GFMWTGEnv, LoadStep, Plant
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.gradients import Tape, check_by_differences
+from wtg_gym.physics.simulator import Simulator
 from wtg_gym.tasks.cost import COST_TERMS
 
 STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
@@ -111,6 +112,8 @@ def test_bad_units_are_refused(battery, changes, reason):
 
 
 def test_plants_that_cannot_be_are_refused(battery):
+    with pytest.raises(ValueError, match="batteries cannot see costs: there are none here, as in `simulate`"):
+        Simulator(Plant(devices=(battery.batteries(9, 14),)), duration_s=1.0)
     one, other = battery.batteries(9), battery.batteries(14)
     with pytest.raises(ValueError, match="units of a kind 'batteries' already"):
         EnvBatch(dataclasses.replace(WITHOUT, plant=Plant(devices=(one, other))))

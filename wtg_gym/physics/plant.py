@@ -432,10 +432,9 @@ def layout_of(plant: PlantTables, task: TaskUnits = NO_TASK) -> Layout:
         for label, kind in device.kind.sees.items():
             if kind in known:
                 links[device.kind, label] = known[kind]
-            elif {**n_units, **task.n_units}.get(kind) != 1:
-                raise ValueError(
-                    f"{device.kind.name} cannot see {kind.name}: nothing says which of them each one means"
-                )
+            elif (n := {**n_units, **task.n_units}.get(kind)) != 1:
+                why = "nothing says which of them each one means" if n else "there are none here, as in `simulate`"
+                raise ValueError(f"{device.kind.name} cannot see {kind.name}: {why}")
     return Layout({**n_units, **task.n_units}, {**links, **task.links})
 
 

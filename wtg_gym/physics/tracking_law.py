@@ -75,7 +75,8 @@ class TrackingLaw:
                 f"damping_time_constant_s of law {self.name!r} must be {low:g} … {high:g} s, 0 s (cancels the droop) "
                 f"or infinite (keeps it), got {tau!r} s"
             )
-        if self.k_min < self.k_max:
+        # Laws with one k may differ by rounding.
+        if self.k_max - self.k_min > 1e-6:
             warnings.warn(
                 f"law {self.name!r}: k rises with the frequency, from k_min = {self.k_min:g} p.u. at ω_min to k_max = "
                 f"{self.k_max:g} p.u.; k_min is the largest of a law that supports the frequency",
