@@ -197,8 +197,7 @@ def _to_and_fro(rocof_hz_s: float) -> tuple[sc.Event, ...]:
 
 def _tests() -> Iterator[GridTest]:
     takes_over = (
-        "0.8 … 1.1 p.u. at every bus except for 0.1 s, 47.5 … 51.5 Hz, and moves by at most 0.1 Hz in the last 5 s, "
-        "at any frequency; all groups stay"
+        "0.8 … 1.1 p.u. at all buses but for 0.1 s, 47.5 … 51.5 Hz, steady to 0.1 Hz in the last 5 s; all groups stay"
     )
     # The last machine is lost: also near the groups' limit, and in balance, where the machine gives next to nothing.
     sources, outage = "AEMO, MISO, EU 2016/631", (sc.MachineOutage(time_s=2.0, bus=1),)
