@@ -2,7 +2,7 @@
 
     python docs/studies/integrations.py [NAME …]
 
-runs all, or those that are named, such as skrl, for seconds. A program's head names its packages, as PEP 723 has it.
+runs all, or those that are named, such as torchrl, for seconds. A program's head names its packages, as PEP 723 has it.
 """
 
 from __future__ import annotations
