@@ -62,7 +62,7 @@ site: $(SITE_READY) ## Build the site of the documentation into build/site; brok
 .PHONY: notebooks
 notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and keep what it shows (some minutes)
 	$(NOTEBOOKS_VENV)/bin/python .ci/install.py --quiet --no-deps --force-reinstall .
-	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
+	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --ExecutePreprocessor.record_timing=False --inplace *.ipynb
 
 
 .PHONY: performance
