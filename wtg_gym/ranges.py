@@ -158,8 +158,10 @@ class Checked:
     MOST: ClassVar[Mapping[str, int]] = types.MappingProxyType({})
 
     def __new__(cls, *_: Any, **values: Any) -> Self:
-        record: Any = cls
-        require_known(f"arguments of {cls.__name__}", values, [field.name for field in dataclasses.fields(record)])
+        # A subclass that is no dataclass may take others.
+        if "__dataclass_fields__" in vars(cls):
+            known = [field.name for field in dataclasses.fields(cls) if field.init]  # type: ignore[arg-type]
+            require_known(f"arguments of {cls.__name__}", values, known)
         return super().__new__(cls)
 
     def __post_init__(self) -> None:

@@ -361,9 +361,12 @@ def test_every_parameter_has_unit_source_and_description_and_every_number_a_rang
                     dataclasses.replace(record, **{field.name: math.inf})
 
 
-def test_a_law_whose_k_rises_with_the_frequency_warns():
-    with pytest.warns(UserWarning, match=r"'x': k rises .* k_min = 0.074 p.u. at ω_min to k_max = 1.024 p.u."):
-        TrackingLaw(name="x", k_min=0.074, k_nominal=0.62, k_max=1.024)
+def test_a_law_file_whose_k_rises_with_the_frequency_warns(tmp_path, caplog):
+    path = tmp_path / "x.toml"
+    for k_max, warns in ((0.5, 0), (1.024, 1)):
+        path.write_text(f"k_min = 0.62\nk_nominal = 0.62\nk_max = {k_max}\ntau_s = 1.0\n")
+        read_law(path)
+        assert caplog.text.count("k rises with the frequency (k_min = 0.62 p.u.") == warns
 
 
 def test_harmless_variants_of_a_wind_file_read_the_same(tmp_path):

@@ -13,7 +13,7 @@ import pytest
 
 from tests.physics.extended import largest_rate, scenario
 from tests.test_readme import files
-from wtg_gym import GFMWTGEnv, LoadStep, Plant
+from wtg_gym import GFMWTGEnv, LoadStep, Plant, Scenario
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.gradients import Tape, check_by_differences
@@ -47,9 +47,9 @@ def settings(battery, **options) -> EnvSettings:
     return dataclasses.replace(WITHOUT, plant={"devices": (battery.batteries(9, 14, **options),)})
 
 
-def played(settings: EnvSettings, num_envs: int = 1, n_steps: int = 60) -> EnvBatch:
+def played(settings: EnvSettings, num_envs: int = 1, n_steps: int = 60, step: Scenario = STEP) -> EnvBatch:
     batch = EnvBatch(settings, num_envs)
-    batch.start(list(range(num_envs)), [STEP] * num_envs)
+    batch.start(list(range(num_envs)), [step] * num_envs)
     for _ in range(n_steps):
         batch.step(np.zeros((num_envs, batch.n_action)))
     return batch
@@ -89,13 +89,18 @@ def test_many_envs_and_copies_from_another_process_have_the_bits_of_one(battery)
         assert (batch.observations == one.observations).all() and (batch.rewards == one.rewards[0]).all()
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("options", "limit"), [({"droop": 5e-4}, 1.0), ({"energy_time_s": 3.0}, 0.0)])
-def test_its_power_rests_at_its_rating_and_at_nothing_when_it_is_empty_at_any_step(battery, options, limit):
+def test_its_power_rests_at_its_rating_and_at_nothing_when_it_is_empty_or_full_at_any_step(
+    battery, options, limit, sign
+):
     usual = settings(battery, **options)
     fine = dataclasses.replace(usual, plant={**usual.plant, "simulation_dt": 0.005})
-    (power, energy, *_), exact = (played(each, n_steps=190).observations[0, -4:] for each in (usual, fine))
+    step = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0 * sign), duration_s=20.0)
+    (power, energy, *_), exact = (played(each, n_steps=190, step=step).observations[0, -4:] for each in (usual, fine))
     assert (power, energy) == pytest.approx(tuple(exact[:2]), abs=1e-3)
-    assert power == pytest.approx(limit, abs=0.01) and 0.0 <= energy < 0.5
+    assert power == pytest.approx(sign * limit, abs=0.01)
+    assert energy == pytest.approx(0.5 - 0.5 * sign, abs=0.02) if limit == 0.0 else sign * (0.5 - energy) > 0.01
 
 
 def test_its_gradient_is_that_of_differences(battery):

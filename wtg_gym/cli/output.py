@@ -44,11 +44,11 @@ def check_page(option: str, path: Path, sections: Sequence[str]) -> str:
         text = read_text(path, "file with the markers")
         section = next((name for name in sections if f"<!-- {name}:start -->" in text), sections[0])
         find_markers(path, section)
+        check_writable(path.resolve().parent)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from error
     if not os.access(path, os.W_OK):
         raise ValueError(f"{option} {path} is not writable")
-    check_writable(path.resolve().parent)
     return section
 
 
@@ -57,7 +57,7 @@ def check_writable(folder: Path) -> None:
     try:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise ValueError(f"The folder {folder} is not writable: {error.strerror}") from error
+        raise ValueError(f"The folder {folder} is not writable: no file can be made ({error.strerror})") from error
 
 
 def print_json(data: Any) -> None:

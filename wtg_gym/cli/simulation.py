@@ -14,9 +14,10 @@ from wtg_gym.cli import output, suites
 from wtg_gym.cli.options import ScenarioOptions
 from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.scenario import GroupTrip, Scenario
 from wtg_gym.physics.tracking_law import LAW_NAMES, LAWS, get_law
 from wtg_gym.physics.trajectory import Trajectory, simulate
+from wtg_gym.physics.units import TripCause
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
 from wtg_gym.tasks import V0, episode
@@ -51,7 +52,7 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
         output.write_and_say(plot, figure_bytes(plot_trajectories(runs, scenario), plot.suffix))
     if csv is not None:
         output.write_and_say(csv, traces_csv(runs))
-    figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
+    figures = [key_figures(name, trajectory, scenario) for name, trajectory in runs.items()]
     if json:
         series = ("wind_speed", "wind_dt_s", "load_noise_mw")
         data = {key: value for key, value in scenario.to_dict().items() if key not in series}
@@ -81,12 +82,13 @@ def _scenario(options: ScenarioOptions, suite: Suite) -> Scenario:
         scenario = read_scenario(options.scenario, suite)
         if options.duration is not None:
             scenario = dataclasses.replace(scenario, duration_s=options.duration)
+    if options.wind is None and options.wind_csv is None:
+        return scenario
     wind_dt_s = scenario.wind_dt_s
     if options.wind_csv is not None:
         wind, wind_dt_s = read_wind_csv(options.wind_csv, duration_s=scenario.duration_s)
-    elif options.wind is None:
-        wind = scenario.wind_speed
     else:
+        assert options.wind is not None
         n_groups = scenario.n_wtg if len(options.wind) == 1 else len(options.wind)
         wind = np.resize(np.array(options.wind), (n_groups, 1))
     if suite.task is not V0 and len(wind) != len(suite.plant.groups):
@@ -136,8 +138,8 @@ _COLUMNS = {
 }
 
 
-def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
-    """Return the key figures of a run as JSON-ready data with units in the keys; groups count from 1.
+def key_figures(name: str, run: Trajectory, scenario: Scenario) -> dict[str, Any]:
+    """Return the key figures of a run of a scenario as JSON-ready data with units in the keys; groups count from 1.
 
     Those that are called local are the extremes over all groups, machines and, in extended physics, buses.
     """
@@ -149,6 +151,8 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
         if cause is not None:
             # A disconnected group delivers exactly nothing after the sample of its trip.
             time_s = run.time_s[np.flatnonzero(run.power_pu[:, group]).max(initial=0)]
+            if cause == TripCause.EVENT:
+                time_s = min(e.time_s for e in scenario.events if isinstance(e, GroupTrip) and e.group == group)
             trips.append({"group": 1 + group, "time_s": _plain(time_s), "cause": _word(cause)})
     figures = {
         "end_time_s": run.time_s[-1],

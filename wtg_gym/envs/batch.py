@@ -217,7 +217,7 @@ class EnvBatch:
                 settings = replace(self.settings, strategy=self.settings.task.hundred, **changes)
                 num_envs, n_threads = min(self.num_envs, EPISODES_AT_ONCE), self.simulator.threads.n_threads
                 self._reference = EnvBatch(settings, num_envs, n_threads)
-            # What the law that scores 100 has paid up to each control step.
+            # What the law that scores 100 has cost up to each control step.
             for first in range(0, len(scenarios), self._reference.num_envs):
                 part = scenarios[first : first + self._reference.num_envs]
                 self._reference.start(range(len(part)), part)

@@ -100,7 +100,7 @@ def require_known_parameters(plant: Plant, names: Iterable[str]) -> None:
 class Moved:
     """The constants of a plant that parameters move; which they are does not depend on the plant's values.
 
-    `places_of` returns where among the numbers of a table a leaf is (:func:`~wtg_gym.systems.programs.constant_places`)
+    `places_of` returns where among the constants of code a leaf is (:func:`~wtg_gym.systems.programs.constant_places`)
     from what systems call it: an argument and its number there, and the unit whose it is.
     """
 
@@ -139,7 +139,7 @@ class Moved:
         """Return cotangents of the parameters (num_envs, n_parameters), by what was `in_force` before the step.
 
         Those of the constants that have rows in the blocks are taken out of `bars`; `constants` are the cotangents of
-        the table's numbers (n_blocks, n_numbers, width).
+        the code's constants (n_blocks, n_numbers, width).
         """
         num_envs = len(in_force)
         leaves = np.zeros_like(in_force)

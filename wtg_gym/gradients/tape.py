@@ -117,7 +117,7 @@ class Tape:
         units = task.units(settings.choices)
         programs = self._programs(built)
         taped = programs[-len(taped_programs(task)) :][:N_TAPED]
-        #: The plant, with the table of the programs that go back.
+        #: The plant, with the code of the programs that go back.
         self._plant = with_places(built, layout, programs, units, taped)
         self._link(programs)
         plant_map, code = PlantMap(built, layout, units), self._plant.network.code

@@ -344,9 +344,9 @@ def _changes(event: events.Event, load_level: float, settings: Plant, plant: Pla
         machines = _units_at(event.bus, "machine with a governor", governed)
         return [NetworkEvent(start, end, governor=machine) for machine in machines]
     if isinstance(event, events.LoadTrip):
-        _units_at(
-            event.bus, "load", {place: b.number for place, b in enumerate(case.buses) if b.load_mw or b.load_mvar}
-        )
+        if not case.buses[bus].load_mw and not case.buses[bus].load_mvar:
+            loads = [each.number for each in case.buses if each.load_mw or each.load_mvar]
+            raise ValueError(f"no load at bus {event.bus}; buses with one: {loads}")
         power = -load_level * complex(plant.buses["load.re"][bus], plant.buses["load.im"][bus])
     else:
         power = complex(event.power_mw, event.reactive_mvar) / case.base_mva

@@ -142,7 +142,7 @@ def check_step(rows: Floats, plant: PlantTables, layout: Layout) -> None:
         extension, beyond = plant.extension.copy(), rows.copy()
         extension["limits.power_max"], extension["voltage.reactive_max"] = 0.0, -10.0
         beyond[layout.wtg("over_power")] = -0.01
-        # Programs of a caller, which stand behind those of the physics in the table, are not run here.
+        # Programs of a caller, which stand behind those of the physics, are not run here.
         programs = programs_of(plant, *integration.PROGRAMS)
         _check_modes(beyond, with_places(plant._replace(extension=extension), layout, programs), layout, side)
 

@@ -120,11 +120,11 @@ class Plant(Checked):
                 as in `control={"droop_gain_pu": 20.0}`.
         """
         known = [*(field.name for field in dataclasses.fields(self)), "physics", "machine_model"]
-        for part in dataclasses.fields(self):
-            parts = getattr(getattr(self, part.name), "__dataclass_fields__", ())
-            for name in (fields.keys() & parts) - set(known):
-                of = f'plant={{"{part.name}": {{"{name}": …}}}}'
-                raise ValueError(f"{name} is a setting of {part.name}: {of}")
+        parts = [name for name in known[:-2] if isinstance(getattr(self, name), Checked)]
+        for name in fields.keys() - set(known):
+            if of := [part for part in parts if name in getattr(self, part).__dataclass_fields__]:
+                way = f'plant={{"{of[0]}": {{"{name}": …}}}}'
+                raise ValueError(f"{name} is a setting of {' and of '.join(of)}: {way}")
         require_known("settings of a plant", fields, known)
         case = fields.pop("case", self.case)
         if not isinstance(case, NetworkCase):

@@ -6,9 +6,9 @@ control. Wherever a function takes a `turbine` or a `control`, None is the paper
 
 import dataclasses
 import functools
+import logging
 import math
 import numbers
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,13 +74,6 @@ class TrackingLaw:
             raise ValueError(
                 f"damping_time_constant_s of law {self.name!r} must be {low:g} … {high:g} s, 0 s (cancels the droop) "
                 f"or infinite (keeps it), got {tau!r} s"
-            )
-        # Laws with one k may differ by rounding.
-        if self.k_max - self.k_min > 1e-6:
-            warnings.warn(
-                f"law {self.name!r}: k rises with the frequency, from k_min = {self.k_min:g} p.u. at ω_min to k_max = "
-                f"{self.k_max:g} p.u.; k_min is the largest of a law that supports the frequency",
-                stacklevel=3,
             )
 
     def to_dict(self) -> dict[str, str | float]:
@@ -194,7 +187,13 @@ def read_law(path: Path, turbine: _Turbine = None) -> TrackingLaw:
         name = data.get("name", path.stem)
         if isinstance(name, str) and plain_name(name) in map(plain_name, LAW_NAMES):
             raise ValueError(f"name {name!r} is, or looks like, that of a built-in law; choose another")
-        return TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
+        law = TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
+    # Laws with one k may differ by rounding.
+    if max(law.k_nominal - law.k_min, law.k_max - law.k_nominal) > 1e-6:
+        shown = ", ".join(f"{key} = {k:g} p.u." for key, k in coefficients.items())
+        message = "%s: k rises with the frequency (%s); k_min is that at the lowest, the largest of a usual law"
+        logging.getLogger("wtg_gym").warning(message, path, shown)
+    return law
 
 
 def _coefficient(data: Mapping[str, Any], corner: str, turbine: _Turbine) -> float:

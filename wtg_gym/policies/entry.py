@@ -111,7 +111,7 @@ class Entry:
 
     def check_learned(self, learned: Mapping[str, Any]) -> None:
         """Raise a ValueError if the learner of its policy had another law or other modes, see :func:`learned_in`."""
-        for key, entry_value in self.env_arguments.items():
+        for key, entry_value in {"environment": self.environment, **self.env_arguments}.items():
             if entry_value != (value := learned.get(key, entry_value)):
                 labels = [law.name if isinstance(law, TrackingLaw) else law for law in (value, entry_value)]
                 raise ValueError(

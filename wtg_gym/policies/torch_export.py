@@ -52,7 +52,7 @@ def export_onnx(
         folder: where to write; made if missing.
         name: of the entry.
         tolerance: largest difference between the actions of the file and the module, [-1, 1].
-        overwrite: whether another entry.toml in the folder is replaced.
+        overwrite: whether another entry.toml in the folder is replaced; a policy with the same one always is.
         entry: further keys of entry.toml: environment (default "GFMWTG-14bus-v1"), action_mode ("k+tau"),
             observation_mode, strategy, training_seed (0), authors ([]; a submission needs them), description,
             trained_on. A :class:`~wtg_gym.sb3.DeterministicPolicy` knows its learner's environment, strategy and modes.
@@ -62,7 +62,7 @@ def export_onnx(
     """
     if not isinstance(module, nn.Module):
         raise ValueError(f"export_onnx() takes a torch.nn.Module, got {type(module).__name__}")
-    for key in entry.keys() - KEYS:
+    for key in (key for key in entry if key not in KEYS):
         raise TypeError(f"export_onnx() got an unexpected keyword argument {key!r}{did_you_mean(key, KEYS)}")
     learned: dict[str, Any] | None = getattr(module, "learned_in", None)
     if learned == {} and "strategy" not in entry:

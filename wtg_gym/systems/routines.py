@@ -100,7 +100,11 @@ class Routine:
             raise ValueError(f"there is no code of {self.program.name!r} for blocks of {width}")
         argument_types = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
         function = ctypes.CFUNCTYPE(None, *argument_types)(address)
-        constant = code.rows.ctypes.data, code.constants.ctypes.data, *(scalars or (0.0,) * len(SCALARS))
+        constant = (
+            code.rows.ctypes.data,
+            code.constants.ctypes.data,
+            *(scalars if len(scalars) else (0.0,) * len(SCALARS)),
+        )
         places = [(stack.ctypes.data, stack.strides[0]) for stack in stacks]
         for block in range(len(stacks[0])):
             function(*(data + block * stride for data, stride in places), *constant)
@@ -166,6 +170,8 @@ def _call(place: int, n_arrays: int) -> Callable[..., None]:
             raise TypeError(f"a routine takes {n_arrays} arrays in C order, got {arrays}")
         # Numba gives a default as a value, and other arguments as types.
         scalars = types.Tuple(()) if scalars == () else scalars
+        if len(scalars) not in (0, len(SCALARS)) or (n_arrays > 2 and at == 0):
+            raise TypeError(f"a routine takes {len(SCALARS)} scalars or (), and, with a tape, the row of its notes")
 
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             def data_of(types_: Any, values: Any) -> list[Any]:
