@@ -105,11 +105,12 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
         return
     matrix, keep = linearisation.moving_matrix(rows, simulator.plant, layout, -1.0)
     yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
-    for damping, hertz in linearisation.swing_modes(matrix)[:3]:
+    eigenvalues = np.linalg.eigvals(matrix).astype(np.complex128)
+    for damping, hertz in linearisation.swing_modes(eigenvalues)[:3]:
         yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
     growing = [
         f"{value.real:+.3g}/s" + (f" at {value.imag / math.tau:.2f} Hz" if value.imag else "")
-        for value in np.linalg.eigvals(matrix)
+        for value in eigenvalues.tolist()
         if value.real > 1e-6 and value.imag >= 0.0
     ]
     yield "stable", "yes" if not growing else f"no, modes grow: {', '.join(growing)}"

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from wtg_gym.physics import converter, integration
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.plant import PlantTables, programs_of, with_places
+from wtg_gym.systems.programs import Complex
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
@@ -97,9 +98,9 @@ def moving_matrix(
     return matrix[np.ix_(keep, keep)], keep
 
 
-def swing_modes(matrix: Floats) -> list[tuple[float, float]]:
+def swing_modes(eigenvalues: Complex) -> list[tuple[float, float]]:
     """Return damping [-] and frequency [Hz] of the modes in which rotors and controls swing, the least damped first."""
-    modes = [(-value.real / abs(value), value.imag / math.tau) for value in np.linalg.eigvals(matrix) if value]
+    modes = [(-value.real / abs(value), value.imag / math.tau) for value in eigenvalues.tolist() if value]
     return sorted((damping, hertz) for damping, hertz in modes if SWINGS_HZ[0] < hertz < SWINGS_HZ[1])
 
 

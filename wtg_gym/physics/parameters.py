@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
-from wtg_gym.ranges import Checked, describe, design, is_whole, parameter, require_known, require_whole
+from wtg_gym.ranges import Checked, describe, design, is_whole, parameter, require_whole
 
 R = TypeVar("R", bound=tuple[Any, ...])
 _UNIT = re.compile(r"(_(pu|deg|s))+$")
@@ -290,6 +290,4 @@ def groups_of(description: int | Sequence[WtgGroup | Mapping[str, Any]], bus: in
     for entry in description:
         if not isinstance(entry, WtgGroup | Mapping) or entry == {}:
             raise ValueError(f"a WTG group must be {form}, got {entry!r:.80}")
-        if isinstance(entry, Mapping):
-            require_known("keys of a WTG group", entry, [field.name for field in dataclasses.fields(WtgGroup)])
     return tuple(entry if isinstance(entry, WtgGroup) else WtgGroup(**entry) for entry in description)

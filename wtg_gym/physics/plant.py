@@ -527,12 +527,13 @@ def with_places(
         turns = "angle" in names_of(device.kind)
         angles.append(layout.rows_of(device.kind, "angle") if turns else np.full(len(device.buses), -1))
     facts = plant.network.facts._replace(**spans)
-    code = link(programs, PlantMap(plant, layout, task), taped, plant.network.code.addresses)
-    return plant._replace(
-        network=plant.network._replace(
-            facts=facts, connected=np.concatenate(connected), angles=np.concatenate(angles), code=code
-        )
+    network = plant.network._replace(
+        facts=facts,
+        connected=np.concatenate(connected),
+        angles=np.concatenate(angles),
+        code=link(programs, PlantMap(plant, layout, task), taped),
     )
+    return plant._replace(network=network).with_addresses(plant.network.code.addresses)
 
 
 @functools.lru_cache(maxsize=16)

@@ -64,13 +64,15 @@ class Entry:
 
     def __post_init__(self) -> None:
         name = check_name("the entry's name", self.name)
-        strategy = self._default_law() if self.strategy is None else self.strategy
+        # Asked once: it may be in other processes.
+        learned = learned_in(self.policy)
+        strategy = self._default_law(learned) if self.strategy is None else self.strategy
         object.__setattr__(self, "strategy", strategy)
         object.__setattr__(self, "law", get_law(strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
         if self.environment is None:
-            object.__setattr__(self, "environment", learned_in(self.policy).get("environment"))
+            object.__setattr__(self, "environment", learned.get("environment"))
         if self.environment is not None:
             require_choice(f"environment of entry {name!r}", self.environment, (*TASKS, ANY_GRID))
         if self.training_seed is not None:
@@ -82,17 +84,16 @@ class Entry:
         if not isinstance(self.per_group, bool) or (self.per_group and self.observation_mode != "local"):
             raise ValueError(f"per_group of entry {name!r} may be true with local observations alone")
         if self.policy is not None:
-            self._check_policy()
+            self._check_policy(learned)
 
-    def _default_law(self) -> str | TrackingLaw:
+    def _default_law(self, learned: Mapping[str, Any]) -> str | TrackingLaw:
         """Return the law of a learner's environment, or the published one."""
-        learned = learned_in(self.policy)
         if not learned and hasattr(self.policy, "get_vec_normalize_env"):
             raise without_environment(self.name)
         law = learned.get("strategy")
         return law if isinstance(law, TrackingLaw) else REFERENCE_LAW
 
-    def _check_policy(self) -> None:
+    def _check_policy(self, learned: Mapping[str, Any]) -> None:
         name, policy = self.name, self.policy
         if not is_policy(policy):
             raise ValueError(
@@ -107,7 +108,7 @@ class Entry:
                 "predict() leaves out; export both with "
                 "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
-        self.check_learned(learned_in(policy))
+        self.check_learned(learned)
 
     def check_learned(self, learned: Mapping[str, Any]) -> None:
         """Raise a ValueError if the learner of its policy had another law or other modes, see :func:`learned_in`."""

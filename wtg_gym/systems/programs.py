@@ -212,9 +212,7 @@ def _n_units(entry: Any, plant: MemoryMap) -> int:
     return plant.n_units(entry.units) if isinstance(entry, Product) else 1
 
 
-def link(
-    programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = (), addresses: Whole | None = None
-) -> Code:
+def link(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = ()) -> Code:
     """Return programs linked to a plant; `taped` are those of them that have a way back."""
     head = np.zeros((_MOST * len(programs), HEAD), dtype=np.int64)
     rows, numbers, cells = list[int](), list[float](), dict[Any, int]()
@@ -234,9 +232,7 @@ def link(
                 rows += _product_rows(entry, plant)
             else:
                 row[1] = plant.first_rows(entry.place.kind, entry.place.part)[0] + entry.place.offset
-    table = np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)])
-    code = Code(table, np.array(numbers, dtype=np.float64))
-    return code if addresses is None else code._replace(addresses=addresses)
+    return Code(np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)]), np.array(numbers, dtype=np.float64))
 
 
 def constant_places(
