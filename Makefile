@@ -118,7 +118,7 @@ clean: ## Remove the environments, caches and built files; results stay
 	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(SITE_VENV) $(NOTEBOOKS_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
 	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
-$(LEADERBOARD_READY): EXTRA := leaderboard,agents
+$(LEADERBOARD_READY): EXTRA := leaderboard
 $(TEST_READY): EXTRA := dev
 $(GOLDEN_READY): EXTRA := golden
 $(SITE_READY): EXTRA := docs

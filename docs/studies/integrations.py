@@ -39,7 +39,7 @@ def environment_of(program: Path) -> Path:
     environment = ROOT / "build" / "integrations" / program.stem
     venv.create(environment, with_pip=True, clear=True)
     pip = [environment / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "--editable", f"{ROOT}[agents]", *packages_of(program)], check=True)
+    subprocess.run([*pip, "--editable", str(ROOT), *packages_of(program)], check=True)
     return environment
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.submissions.models import M, N, make_bytes, worker
+from tests.submissions.models import WEIGHTS, M, N, after, constant, hidden, make_bytes, model, nodes_of, worker
 from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate
 from wtg_gym.policies import policy_process
+from wtg_gym.policies.locked_worker import row_by_row
 from wtg_gym.policies.policy_process import NotIsolatedError, PolicyProcess
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation is complete on Linux only")
@@ -57,16 +58,77 @@ def gone(pid: int) -> bool:
     return False
 
 
-def test_answers_are_those_of_onnxruntime_for_one_scenario_at_a_time():
+@pytest.mark.parametrize("name", ["sac-k+tau-0", "ppo-v1-0", "evolution-v1-0"])
+def test_answers_are_those_of_onnxruntime_for_one_scenario_whatever_is_beside_it(name):
     import onnxruntime
 
-    content = (ROOT / "agents/policies/sac-k+tau-0/policy.onnx").read_bytes()
+    content = (ROOT / "agents/policies" / name / "policy.onnx").read_bytes()
+    assert row_by_row(content) is not None
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     with opened(content) as policy:
-        observations = np.random.default_rng(0).uniform(-5, 5, (50, policy.widths[0])).astype(np.float32)
-        given, state = policy.predict(observations, None, np.ones(50, bool), deterministic=True)
-    expected = np.concatenate([session.run(["action"], {"observation": row[None]})[0] for row in observations])
-    assert np.array_equal(given, expected) and given.dtype == np.float32 and state is None
+        rng, (n_observation, _, *widths) = np.random.default_rng(0), policy.widths
+        observations = rng.uniform(-5, 5, (50, n_observation)).astype(np.float32)
+        states = tuple(rng.uniform(-1, 1, (50, width)).astype(np.float32) for width in widths)
+        answers, following = policy.predict(observations, states, np.zeros(50, bool), deterministic=True)
+        order = rng.permutation(50)[:37]
+        reordered, others = policy.predict(observations[order], tuple(state[order] for state in states))
+    assert answers.dtype == np.float32 and np.array_equal(answers[order], reordered)
+    assert (following is None) == (not widths)
+    assert all(np.array_equal(a[order], b) for a, b in zip(following or (), others or (), strict=True))
+    for row in range(50):
+        values = {f"state_{index}": state[row : row + 1] for index, state in enumerate(states)}
+        values["observation"] = observations[row : row + 1]
+        assert session.run(["action"], values)[0][0] == pytest.approx(answers[row], abs=1e-6)
+
+
+#: From the observation to what is multiplied by `weights`, and constants besides.
+TREATS_APART = {
+    "columns": ("x = Gather<axis = 1>(observation, back)", {"back": np.arange(N)[::-1]}),
+    "blocks": ("b = Reshape(observation, blocks); x = Reshape(b, flat)", {"blocks": [0, 2, -1], "flat": [0, N]}),
+    "sum": ("s = ReduceSum<keepdims = 1>(observation, one); x = Sub(observation, s)", {"one": [1]}),
+    "twice transposed": ("t = Transpose(observation); x = Transpose(t)", {}),
+}
+MIXES = {
+    "slice": ("x = Slice(observation, low, high, axis)", {"low": [0], "high": [2**40], "axis": [0]}),
+    "reversed": ("x = Slice(observation, low, high, axis, low)", {"low": [-1], "high": [-(2**40)], "axis": [0]}),
+    "gathered": ("x = Gather<axis = 0>(observation, back)", {"back": np.arange(16)[::-1]}),
+    "mean": ("m = ReduceMean<axes = [0]>(observation); x = Sub(observation, m)", {}),
+    "softmax": ("x = Softmax<axis = 0>(observation)", {}),
+    "running sum": ("x = CumSum(observation, axis)", {"axis": 0}),
+    "products": ("t = Transpose(observation); p = MatMul(observation, t); x = MatMul(p, observation)", {}),
+    "pairs": (
+        "a = Unsqueeze(observation, zero); b = Unsqueeze(observation, one); d = Sub(a, b); x = ReduceSum(d, one)",
+        {"zero": [0], "one": [1]},
+    ),
+    "reshaped": ("t = Transpose(observation); x = Reshape(t, shape)", {"shape": [-1, N]}),
+    "stacked": (
+        "s = Concat<axis = 0>(observation, observation); x = Gather<axis = 0>(s, some)",
+        {"some": [*range(16)]},
+    ),
+    "numbers of places": ("x = Add(observation, places)", {"places": np.arange(16.0 * N).reshape(16, N)}),
+    "biases of places": (
+        "x = Gemm(observation, square, places)",
+        {"square": np.eye(N), "places": np.arange(16.0 * N).reshape(16, N)},
+    ),
+    "sequence": (
+        "s = Unsqueeze(observation, one); x, h, c = LSTM<hidden_size = 20>(s, W, R)",
+        {"one": [1], "W": np.ones((1, 4 * N, N)), "R": np.ones((1, 4 * N, N))},
+    ),
+    "random": ("r = RandomNormal<shape = [1, 20]>(); x = Add(observation, r)", {}),
+}
+
+
+@pytest.mark.parametrize("name", [*TREATS_APART, *MIXES])
+def test_rows_share_a_call_only_where_no_node_mixes_them(name):
+    text, constants = (TREATS_APART | MIXES)[name]
+    nodes = nodes_of(f"{text}; action = MatMul(x, weights)")
+    content = model(nodes, constants=[WEIGHTS, *(constant(key, value) for key, value in constants.items())])
+    assert (row_by_row(content.SerializeToString()) is not None) == (name in TREATS_APART)
+
+
+def test_what_only_another_reader_sees_is_not_run_for_many_rows():
+    visible = make_bytes()
+    assert row_by_row(visible + hidden(after("action = Tanh(linear)"))) in (None, row_by_row(visible))
 
 
 def test_process_has_bounds_few_rights_and_none_of_our_environment():

@@ -146,15 +146,21 @@ def varint(number: int) -> bytes:
     return data + bytes([number])
 
 
-def unseen(content: ModelProto) -> bytes:
-    """A model whose graph stands behind a key that readers take in two ways: as that of a graph, or as unknown.
+def hidden(content: ModelProto) -> bytes:
+    """The graph of a model behind a key that readers take in two ways: as that of a graph, or as unknown.
 
     Such a key has a bit more than 32.
     """
-    shell, graph = ModelProto(), content.graph.SerializeToString()
+    graph = content.graph.SerializeToString()
+    return varint(7 << 3 | 2 | 1 << 32) + varint(len(graph)) + graph
+
+
+def unseen(content: ModelProto) -> bytes:
+    """A model with a hidden graph and no other."""
+    shell = ModelProto()
     shell.CopyFrom(content)
     shell.ClearField("graph")
-    return shell.SerializeToString() + varint(7 << 3 | 2 | 1 << 32) + varint(len(graph)) + graph
+    return shell.SerializeToString() + hidden(content)
 
 
 def with_function(text: str, domain: str) -> ModelProto:

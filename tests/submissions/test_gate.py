@@ -81,8 +81,9 @@ def test_policy_that_remembers_other_scenarios_is_refused(monkeypatch, tmp_path)
     mixes = """
 answer = worker._Served.answer
 def mixed(served, n, source):
-    answer(served, n, source)
-    served.outputs[0][-1] += 1e-6
+    answers = answer(served, n, source)
+    answers[0][-1] += 1e-6
+    return answers
 worker._Served.answer = mixed"""
     monkeypatch.setattr(policy_process, "_SCRIPT", models.worker(tmp_path / "worker.py", mixes))
     monkeypatch.setattr(gate, "_ROLLOUT_ENVS", 4)

@@ -40,7 +40,7 @@ def evaluate(
 
     An entry fails if its policy raises, ends, takes too long or gives no action, or if its law has no equilibrium in a
     scenario. It is named with the reason and left out with all training seeds of its name. The others are ranked, and
-    the exit code is 1. A policy.onnx plays one scenario at a time, in an isolated process.
+    the exit code is 1. A policy.onnx plays each scenario apart, in an isolated process.
 
     examples:
       wtg-gym evaluate --entries coordinated-piecewise fast-droop --suite standard-v1 --scenarios 20

@@ -23,7 +23,7 @@ app = App(
 Policies of others: write a template, check folders, score them in isolation.
 
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like. Nothing in it is run but the
-network in policy.onnx, with all weights in it. onnxruntime plays it one scenario at a time, in a process that can only
+network in policy.onnx, with all weights in it. onnxruntime plays each scenario apart, in a process that can only
 compute and answer, here and wherever it is played later. Random numbers start alike in every scenario.""",
 )
 

@@ -1,9 +1,10 @@
 """The process in which a policy is played: it gets observations and gives actions, and can do nothing else.
 
 :mod:`wtg_gym.policies.policy_process` runs this file as a script, so it imports nothing of the package. It loads its
-libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime, which
-gets a batch of one. Each scenario has a session of its own, so that nothing goes from one to another. The process
-never learns which scenario is played, and its answers are all that comes out of it.
+libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime. A graph
+of which :func:`row_by_row` knows that no row of its batch can see another one gets sixteen rows at a time; any other
+one gets a batch of one, each with a session of its own. So nothing goes from one scenario to another. The process never
+learns which scenario is played, and its answers are all that comes out of it.
 """
 
 import ctypes
@@ -15,7 +16,7 @@ import struct
 import sys
 from typing import Any, BinaryIO
 
-#: Before a message, which is JSON: its length. Before observations: the number of scenarios.
+#: Before a message, which is JSON: its length. Before observations: the number of rows.
 LENGTH = struct.Struct("<I")
 ACTIONS, COMPLAINT = b"\x00", b"\x01"
 #: A policy with one observation, its square is the action; it is played once before the kernel locks the process.
@@ -25,6 +26,18 @@ _EXAMPLE = bytes.fromhex(
     "080112080a0208010a02080142040a00100d"
 )
 _PR_SET_PDEATHSIG = 1
+#: Rows of a call of a graph that treats them apart. It is always the same, with zeros where there are fewer, because
+#: the last bits of a product depend on it.
+_ROWS = 16
+#: Nodes that such a graph may have: those that broadcast, those whose first input alone may differ by row, and others.
+_BROADCAST = (
+    "Abs Add Cast Ceil Clip Cos Div Elu Equal Erf Exp Expand Floor Greater HardSigmoid Identity LeakyRelu Less Log Max "
+    "Min Mul Neg Pow Reciprocal Relu Selu Sigmoid Sign Sin Softplus Softsign Sqrt Sub Tanh Where"
+)
+_FIRST_KINDS = "Flatten Gather Gemm MatMul ReduceMean ReduceSum Reshape Shape Slice Split Squeeze Transpose Unsqueeze"
+_RECURRENT, _CONSTANT = ("LSTM", "GRU"), ("Constant", "ConstantOfShape")
+_ELEMENTWISE, _FIRST_INPUT = frozenset(_BROADCAST.split()), frozenset(_FIRST_KINDS.split())
+_ANY_INPUT = {*_ELEMENTWISE, *_RECURRENT, "Concat"}
 
 
 def main() -> None:
@@ -55,13 +68,13 @@ def _serve(content: bytes, source: BinaryIO, sink: BinaryIO) -> None:
     _send(sink, {"widths": served.widths})
     while head := source.read(LENGTH.size):
         try:
-            served.answer(LENGTH.unpack(head)[0], source)
+            answers = served.answer(LENGTH.unpack(head)[0], source)
         except Exception as error:
             sink.write(COMPLAINT)
             _send(sink, {"error": _text(error)})
             return
         sink.write(ACTIONS)
-        for values in served.outputs:
+        for values in answers:
             sink.write(values.tobytes())
         sink.flush()
 
@@ -81,7 +94,7 @@ def _open_session(content: bytes) -> Any:
 
 
 class _Served:
-    """A policy's sessions, each scenario with a row of the arrays that they read and write."""
+    """A policy's sessions, and the arrays that they read and write: a row for each scenario, or each of its groups."""
 
     def __init__(self, content: bytes) -> None:
         self._content = content
@@ -98,63 +111,180 @@ class _Served:
             )
         #: Of the observation, the action, and every state.
         self.widths = [inputs["observation"], outputs["action"], *(inputs[name] for name in self._inputs[1:])]
+        self._n_rows, self._shared = 0, _shared_session(content)
+        #: Rows of one call.
+        self._per_call = _ROWS if self._shared else 1
         self._input_rows: list[Any] = []
-        self.outputs: list[Any] = []
+        self._output_rows: list[Any] = []
         self._bound: list[Any] = []
 
-    def answer(self, n_scenarios: int, source: BinaryIO) -> None:
-        """Read the observations and states of all scenarios, and ask each one's session; `outputs` hold the answers."""
+    def answer(self, n_rows: int, source: BinaryIO) -> list[Any]:
+        """Read the observations and states of all rows, and return their actions and next states."""
         import numpy as np
         from onnxruntime import set_seed
 
-        if len(self._bound) != n_scenarios:
+        if self._n_rows != n_rows:
             observation, action, *states = self.widths
-            self._input_rows = [_rows(n_scenarios, width) for width in (observation, *states)]
-            self.outputs = [_rows(n_scenarios, width) for width in (action, *states)]
-            self._bound = [None] * n_scenarios
-        starts = _read(source, n_scenarios)
+            n_calls, self._n_rows = -(-n_rows // self._per_call), n_rows
+            self._input_rows = [_rows(n_calls, self._per_call, width) for width in (observation, *states)]
+            self._output_rows = [_rows(n_calls, self._per_call, width) for width in (action, *states)]
+            self._bound = [None] * n_calls
+        starts = _read(source, n_rows)
         for values in self._input_rows:
-            values[:] = np.frombuffer(_read(source, values.nbytes), np.float32).reshape(values.shape)
-        for values in self.outputs:
+            width = values.shape[1]
+            values[:n_rows] = np.frombuffer(_read(source, 4 * n_rows * width), np.float32).reshape(n_rows, width)
+        for values in self._output_rows:
             values.fill(np.nan)
-        for index, start in enumerate(starts):
-            if self._bound[index] is None or start:
+        for index in range(len(self._bound)):
+            if self._bound[index] is None or (not self._shared and starts[index]):
                 self._bound[index] = self._bind(index)
             run, binding = self._bound[index]
             # All sessions share one generator of random numbers: no scenario sees how many another one drew.
             set_seed(0)
             run(binding, None)
+        return [values[:n_rows] for values in self._output_rows]
 
     def _bind(self, index: int) -> tuple[Any, Any]:
-        """Return what runs a session on one scenario's rows, and its argument; onnxruntime checks the shapes."""
+        """Return what runs a session on the rows of a call, and its argument; onnxruntime checks the shapes."""
         import numpy as np
         import onnxruntime
 
         # A session's own generators begin alike.
         onnxruntime.set_seed(0)
-        session = _open_session(self._content)
-        binding = session.io_binding()
+        session = self._shared or _open_session(self._content)
+        binding, first = session.io_binding(), index * self._per_call
         for bind, names, arrays in (
             (binding.bind_input, self._inputs, self._input_rows),
-            (binding.bind_output, self._outputs, self.outputs),
+            (binding.bind_output, self._outputs, self._output_rows),
         ):
             for name, values in zip(names, arrays, strict=True):
-                bind(name, "cpu", 0, np.float32, (1, values.shape[1]), values[index].ctypes.data)
+                shape = (self._per_call, values.shape[1])
+                bind(name, "cpu", 0, np.float32, shape, values[first].ctypes.data)
         # Two layers of Python less than session.run_with_iobinding(binding), which does the same.
         return session._sess.run_with_iobinding, binding._iobinding
 
 
-def _rows(n_scenarios: int, width: int) -> Any:
-    """Return an array (n_scenarios, width) whose rows all begin at a multiple of 64 bytes.
+def _rows(n_calls: int, per_call: int, width: int) -> Any:
+    """Return an array (n_calls * per_call, width) in which the rows of every call begin at a multiple of 64 bytes.
 
     The last bits of a sum depend on where its values begin: a policy could tell the scenarios by it.
     """
     import numpy as np
 
-    n_values = -(-width // 16) * 16
-    memory = np.zeros(16 + n_scenarios * n_values, np.float32)
+    n_values = -(-per_call * width // 16) * 16
+    memory = np.zeros(16 + n_calls * n_values, np.float32)
     first = -memory.ctypes.data % 64 // 4
-    return memory[first : first + n_scenarios * n_values].reshape(n_scenarios, n_values)[:, :width]
+    calls = memory[first : first + n_calls * n_values].reshape(n_calls, n_values)[:, : per_call * width]
+    return calls.reshape(n_calls * per_call, width)
+
+
+def _shared_session(content: bytes) -> Any:
+    """Return a session of so many rows for all scenarios; None where the graph or this processor mixes rows.
+
+    Whether a row has the same bits at every place depends on onnxruntime's code for this processor, so it is tried.
+    """
+    import numpy as np
+
+    if (of_many := row_by_row(content)) is None:
+        return None
+    try:
+        session = _open_session(of_many)
+        # Any numbers that differ; numpy's random ones would be loaded now.
+        rows = {
+            each.name: np.sin(np.arange(_ROWS * each.shape[1], dtype=np.float32)).reshape(each.shape)
+            for each in session.get_inputs()
+        }
+        expected = session.run(None, rows)
+        for places in range(1, _ROWS):
+            answers = session.run(None, {name: np.roll(values, places, axis=0) for name, values in rows.items()})
+            if any(
+                np.roll(values, places, axis=0).tobytes() != answer.tobytes()
+                for values, answer in zip(expected, answers, strict=True)
+            ):
+                return None
+    # A graph may only work with one row.
+    except Exception:
+        return None
+    return session
+
+
+def row_by_row(content: bytes) -> bytes | None:
+    """Return an .onnx file's graph for so many rows; None unless every node treats each row of the batch apart.
+
+    The batch is followed from the inputs through the shapes that onnx infers: every tensor that has rows must have them
+    along one axis, and no node may mix what lies along it.
+    """
+    import onnx
+
+    try:
+        model = onnx.load_model_from_string(content)
+        # Another reader might know them.
+        model.DiscardUnknownFields()
+        _declare_rows(model.graph, "rows")
+        inferred = onnx.shape_inference.infer_shapes(model, strict_mode=True, data_prop=True)
+        if model.functions or not _treats_rows_apart(inferred.graph):
+            return None
+        _declare_rows(model.graph, _ROWS)
+        return bytes(model.SerializeToString())
+    # onnx's exceptions share no other base.
+    except Exception:
+        return None
+
+
+def _declare_rows(graph: Any, n_rows: str | int) -> None:
+    """Set the first axis of a graph's inputs to a number, or a name; what the file says of other shapes is dropped."""
+    del graph.value_info[:]
+    for value in graph.output:
+        value.type.tensor_type.ClearField("shape")
+    for value in graph.input:
+        axis = value.type.tensor_type.shape.dim[0]
+        if isinstance(n_rows, str):
+            axis.dim_param = n_rows
+        else:
+            axis.dim_value = n_rows
+
+
+def _treats_rows_apart(graph: Any) -> bool:
+    """Return whether no node of a graph with inferred shapes, whose batch has a name, mixes rows."""
+    values = (*graph.input, *graph.value_info, *graph.output)
+    shapes = {each.name: [axis.dim_param for axis in each.type.tensor_type.shape.dim] for each in values}
+    shapes |= {each.name: [""] * len(each.dims) for each in graph.initializer}
+    with_rows = {each.name for each in graph.input}
+    for node in graph.node:
+        having = {index for index, name in enumerate(node.input) if name in with_rows}
+        if node.domain or not (
+            node.op_type in _ANY_INPUT or (node.op_type in _FIRST_INPUT and having <= {0}) or node.op_type in _CONSTANT
+        ):
+            return False
+        # The number of rows says nothing of what is in them.
+        if having and node.op_type != "Shape":
+            names = [*(node.input[index] for index in having), *filter(None, node.output)]
+            if any(shapes.get(name, []).count("rows") != 1 for name in names) or not _keeps_rows(node, shapes, having):
+                return False
+            with_rows.update(filter(None, node.output))
+    return with_rows >= {each.name for each in graph.output}
+
+
+def _keeps_rows(node: Any, shapes: dict[str, list[str]], having: set[int]) -> bool:
+    """Return whether a node mixes no rows, where the shapes of its tensors allow for it."""
+    attributes = {each.name: each.i for each in node.attribute}
+    inputs = {index: name for index, name in enumerate(node.input) if name}
+    axes = [shapes[inputs[index]].index("rows") for index in sorted(having)]
+    if node.op_type in _ELEMENTWISE:
+        # Broadcasting counts axes from the last one.
+        names = (*(inputs[index] for index in having), node.output[0])
+        return len({shapes[name].index("rows") - len(shapes[name]) for name in names}) == 1
+    if node.op_type in ("Reshape", "Flatten"):
+        return axes == [0] and shapes[node.output[0]][0] == "rows"
+    if node.op_type == "Gemm":
+        # A bias of two axes may have another value for every place.
+        return 2 not in inputs or len(shapes[inputs[2]]) == 1
+    if node.op_type == "Concat":
+        return having == set(inputs) and attributes["axis"] % len(shapes[inputs[0]]) != axes[0]
+    if node.op_type in _RECURRENT:
+        # All but the weights have rows, as the second axis.
+        return having == set(inputs) - {1, 2, 3} and set(axes) == {1} and attributes.get("layout", 0) == 0
+    return True
 
 
 def _widths(values: Any) -> dict[str, int]:

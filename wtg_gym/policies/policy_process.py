@@ -1,9 +1,10 @@
-"""Policies as ONNX files, which onnxruntime plays one scenario at a time, in a process of its own with limits.
+"""Policies as ONNX files, which onnxruntime plays each scenario apart, in a process of its own with limits.
 
 A policy's graph has the batch as the first axis of everything: inputs `observation` (batch, n_observation) and, for a
 policy with memory, `state_0`, `state_1`, … (batch, n); outputs `action` (batch, n_action) and as many `next_state_0`, …
-of the same widths. All are float32, all states are zero at the start of an episode. The batch is always 1, so no graph
-sees two scenarios at once. Scenarios, simulation and score stay here: a policy can neither see nor forge them.
+of the same widths. All are float32, all states are zero at the start of an episode. The batch is 1, or 16 for a graph
+that treats every row apart, so no row depends on another one. Scenarios, simulation and score stay here: a policy can
+neither see nor forge them.
 """
 
 import contextlib
@@ -47,8 +48,8 @@ _LONGEST_MESSAGE = 65_536
 MOST_STATES, WIDEST = 16, 65_536
 #: Has malloc fill memory with one byte and keep no caches, so that no call finds what another one left there.
 _MALLOC = "glibc.malloc.tcache_count=0:glibc.malloc.perturb=165"
-#: Most episodes side by side: each has its own session, and more of them than the processor's cache holds take three
-#: times as long a step.
+#: Most episodes side by side: each may have its own session, and more of them than the processor's cache holds take
+#: three times as long a step.
 _MOST_EPISODES = 64
 #: Bytes of files that many sessions hold; the memory of the process is eight times as large.
 _MEMORY_OF_FILES = 2**29

@@ -1,4 +1,4 @@
-"""Any policy of PyTorch as an entry: `policy.onnx` with its weights inside, and `entry.toml`; needs torch and onnx."""
+"""Any policy of PyTorch as an entry: `policy.onnx` with its weights inside, and `entry.toml`; needs torch."""
 
 import tempfile
 import warnings
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.extras import install_advice
 from wtg_gym.files import write_together
 from wtg_gym.physics.tracking_law import LAW_NAMES, get_law
 from wtg_gym.policies.entry import without_environment
@@ -17,12 +16,10 @@ from wtg_gym.policies.policy_process import OnnxPolicy, PolicyError
 from wtg_gym.ranges import did_you_mean
 
 try:
-    # Torch's exporter needs it.
-    import onnx  # noqa: F401
     import torch
     from torch import Tensor, nn
 except ImportError as error:
-    raise ImportError(f"export_onnx() needs torch and onnx; {install_advice('agents')} torch ({error})") from error
+    raise ImportError(f"export_onnx() needs torch: pip install torch ({error})") from error
 
 #: Old enough for every onnxruntime that is still around.
 _OPSET = 17
@@ -161,7 +158,7 @@ def _check_form(playable: _Playable, n_observation: int, n_action: int) -> None:
 def _exported(playable: _Playable, n_observation: int) -> bytes:
     states = [f"state_{index}" for index in range(len(playable.state_widths))]
     inputs, outputs = ["observation", *states], ["action", *(f"next_{name}" for name in states)]
-    # It is always played one scenario at a time: without another size of the batch onnxruntime simplifies more.
+    # Without another size of the batch onnxruntime simplifies more, where a policy is played row by row.
     example = tuple(torch.zeros(1, width) for width in (n_observation, *playable.state_widths))
     try:
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
