@@ -233,3 +233,11 @@ def test_errors_of_the_wind_add_up_and_never_take_more_than_nine_tenths_of_it():
     winds = np.array([m.wind for m in seen])
     assert (0.5 + 0.3 * states[:, 2]).min() < 0.1, "the bound is reached"
     assert winds.min() == pytest.approx(0.9)
+
+
+def test_sensors_of_an_environment_and_of_a_scenario_exclude_each_other():
+    env = GFMWTGEnv(suite="standard-v1", sensors="exact", reward="cost")
+    scenario = get_suite("standard-v1").scenario(10_000)
+    with pytest.raises(ValueError, match="has sensors, and so has the environment: leave out its argument sensors"):
+        env.reset(options={"scenario": scenario})
+    env.reset(options={"scenario": dataclasses.replace(scenario, sensors=None)})

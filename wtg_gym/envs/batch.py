@@ -192,7 +192,12 @@ class EnvBatch:
 
     def scenario_of(self, name: str, value: Any) -> Scenario:
         """Return what `name` of a reset names: a scenario, its `to_dict()`, or that of a seed of the suite."""
-        return self.scenarios([value])[0] if is_whole(value) else as_scenario(name, value)
+        if is_whole(value):
+            return self.scenarios([value])[0]
+        scenario = as_scenario(name, value)
+        if scenario.sensors is not None and self.settings.sensors is not None:
+            raise ValueError(f"{name} has sensors, and so has the environment: leave out its argument sensors")
+        return scenario
 
     def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
         """Find the equilibria that episodes of scenarios start from; no running environment is touched.

@@ -28,7 +28,7 @@ exceeds what the chopper stands, the group disconnects. Voltage. Droop, reactive
 
 E is the voltage behind X_g, V and q are those of the terminal. Where a reactive limit is exceeded its own error takes
 over, so that one integrator serves both and nothing winds up. While the current is limited E rises less, and not at all
-where the limiter takes CUT_FULL or more from the voltage: Ė ≤ (1 - X_v |I| / CUT_FULL) K_iv e for e > 0.
+where the limiter takes CUT_FULL or more from the voltage: Ė ≤ max(1 - X_v |I| / CUT_FULL, 0) K_iv e for e > 0.
 
 Source: REGFM_A1 (W. Du et al., PNNL-32278), its current limiter and its active power limiters; there the terminal
 voltage is the last iterate's, here the limit holds with the network's solution. Its voltage control, with the takeover
@@ -109,7 +109,7 @@ def converter_rates(
     """Return the rates, and the tracking coefficient k in use [p.u.].
 
     They are those at a rotor speed ω_m, a power p into the grid, and a speed of the first unit [p.u.]; `limiter` of an
-    extended converter is Δω and the most that P_st can be [p.u.].
+    extended converter is Δω and the most that k ω_m³ can be [p.u.].
     """
     deviation = s.speed - c.corners.frequency_setpoint
     frequency = s.speed if limiter is None else s.speed + limiter[0]

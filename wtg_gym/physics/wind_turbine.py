@@ -173,7 +173,7 @@ def wtg_rates(
 ) -> tuple[WtgState, WtgOutput]:
     """Return rates and outputs, at powers p into the grid and p_w from the wind, and a speed of the first unit [p.u.].
 
-    `limiter` of an extended group is Δω, and the most that P_st can be [p.u.].
+    `limiter` of an extended group is Δω, and the most that k ω_m³ can be [p.u.].
     """
     converter, k = gfm.converter_rates(
         s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n, limiter
