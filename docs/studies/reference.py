@@ -35,6 +35,11 @@ def declared(record):
     return [(name, *hint.__metadata__) for name, hint in get_type_hints(record, include_extras=True).items()]
 
 
+def listed(rows):
+    """Return names and their meanings as a list, which holds whole sentences better than a table."""
+    return "\n".join(f"- {name}: {meaning}" for name, meaning in rows)
+
+
 def overview():
     """Return the versions side by side."""
     header = ("", "Action space", "Observation space", "Groups of turbines", "Step, episode")
@@ -90,13 +95,13 @@ def weights():
     rows = [(f"`{name}`", *(value(env.settings, name) for env in ENVS.values())) for name in CostWeights._fields]
     table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(ENVS)))
     return (
-        f"{table}\n\n`cap` limits the sum, in v1 without frequency and load not served ([equations and "
-        "reasons](benchmark.md#the-cost))."
+        f"{table}\n\n`cap` limits the sum, in v1 without frequency and load not served ([terms](benchmark.md#the-cost), "
+        "[score and reward](benchmark.md#score-and-reward))."
     )
 
 
 def info():
-    """Return the keys of `info`, whose names end in their units; one row for all terms of the cost."""
+    """Return the keys of `info`, whose names end in their units; one for all terms of the cost."""
     rows = [(f"`{key}`", meaning) for key, _, meaning in (*declared(Info), *declared(LocalInfo))]
     terms = ", ".join(COST_TERMS)
     rows += [
@@ -105,19 +110,19 @@ def info():
         ("`reserve_margin`", "[reserve margin](benchmark.md#strata); in drawn suites of v1"),
         ("`termination_reason`", "why the episode was terminated, else empty"),
     ]
-    return "### `info`\n\n" + markdown_table(("key", "meaning"), rows)
+    return "### `info`\n\n" + listed(rows)
 
 
 def arguments():
     """Return the arguments with their defaults, from the docstring of EnvSettings."""
-    listed = (inspect.getdoc(EnvSettings) or "").partition("Args:\n")[2].partition("\n\n")[0]
-    entries = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", listed, flags=re.MULTILINE | re.DOTALL)
+    text = (inspect.getdoc(EnvSettings) or "").partition("Args:\n")[2].partition("\n\n")[0]
+    entries = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", text, flags=re.MULTILINE | re.DOTALL)
     meanings = {name: plain(" ".join(text.split())) for name, text in entries}
     rows = []
     for field in dataclasses.fields(EnvSettings):
         default = "" if field.default is None else f"={field.default!r}".replace("'", '"')
         rows.append((f"`{field.name}{default}`", meanings[field.name]))
-    return markdown_table(("argument, default", "meaning"), rows)
+    return listed(rows)
 
 
 def environment_page():
@@ -186,9 +191,9 @@ def parameters_page():
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
     title = f"Synchronous machines at buses {'/'.join(' and '.join(buses) for buses in machines.values())}"
     parts.append(class_list(title, fields, lambda field: [dict(machine)[field.name] for machine in machines]))
-    listed = "\n\n".join(parts)
-    sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items() if f"({key})" in listed)
-    return f"{listed}\n\n## Sources\n\n{sources}"
+    lists = "\n\n".join(parts)
+    sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items() if f"({key})" in lists)
+    return f"{lists}\n\n## Sources\n\n{sources}"
 
 
 def laws():

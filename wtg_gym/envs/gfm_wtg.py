@@ -22,7 +22,7 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     `Box(-1, 1, (n_wtg · n_modes,), float32)`: k of group 1, its τ, k of group 2, … (`action_names`); an offset on k (at
     ±1 half of K_opt - K_pr) and a factor on τ (at ±1 four times or a quarter, in v1 twice or half). Zero leaves the
     control law `strategy` unchanged, to the last bit; its default is the published law. Actions outside -1 … 1 are
-    clipped; an action that is not finite raises a ValueError.
+    clipped.
 
     ## Observation Space
     `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation and its rate of change
@@ -34,11 +34,11 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     noise, bias and a delay of 0.1 … 0.3 s, and its last action. The privileged part begins with the exact values.
 
     ## Rewards
-    In v0 minus the cost of the step; see `reward`. In v1 what the step saves against the reference at 100,
-    100/Λ · (c_100 - c) / (J_100 + J0); the last step adds what makes the return the score minus 100: mostly less than
-    10 points, up to thousands where an episode cost much more than the reference. An episode that `TimeLimit` cuts has
-    no such step, and its return is no score. The cost is the sum of the terms `info["cost_…"]`. `info["cost"]` is
-    another number, for safe reinforcement learning.
+    In v0 minus the cost of the step; see `reward`. In v1 what the step saves against the reference at 100; the last
+    step adds what makes the return the score minus 100: mostly less than 10 points, up to thousands where an episode
+    cost much more than the reference. An episode that `TimeLimit` cuts has no such step, and its return is no score.
+    The cost is the sum of the terms `info["cost_…"]`. `info["cost"]` is another number, for safe reinforcement
+    learning.
 
     ## Starting State
     The exact equilibrium of the scenario's wind, load and grid at nominal frequency.
@@ -52,10 +52,9 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     more than the score counts.
 
     ## Arguments
-    Those of `wtg_gym.envs.EnvSettings`, and `render_mode`. An unknown one raises a TypeError, a value that is not
-    allowed a ValueError. `reset(options={"scenario": …})` plays a scenario of your own, or that of a seed of the suite,
-    in a batch {"scenarios": one for each}; {"reset_mask": (num_envs,) bool} restarts some. `reset(seed=10003)` seeds
-    the generator that draws scenarios: it does not play scenario 10003.
+    Those of `wtg_gym.envs.EnvSettings`, and `render_mode`. `reset(options={"scenario": …})` plays a scenario of your
+    own, or that of a seed of the suite, in a batch {"scenarios": one for each}; {"reset_mask": (num_envs,) bool}
+    restarts some. `reset(seed=10003)` seeds the generator that draws scenarios: it does not play scenario 10003.
 
     ## Rendering
     `render_mode="rgb_array"` gives frames of 960 × 540 pixels: the grid with the events so far, and curves of frequency
