@@ -31,7 +31,7 @@ MADE = [path for path in TRACES if path.parent.name not in OTHERS]
 
 
 def test_there_are_golden_traces_of_every_case_that_the_page_describes():
-    rows = re.findall(r"^\| (`.*?) \|", (GOLDEN / "README.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    rows = re.findall(r"^- (`.*?`): ", (GOLDEN / "README.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
     named = {name for row in rows for name in re.findall("`(.*?)`", row)}
     assert {trace.parent.name for trace in TRACES} == named and len(TRACES) >= 25
 
