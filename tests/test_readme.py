@@ -47,12 +47,6 @@ def test_what_is_played_shorter_is_printed():
     assert all(printed in pages for printed in SHORTER)
 
 
-def files(page: str) -> dict[str, str]:
-    """Return the files that a page asks its reader to save, by name: blocks with a title."""
-    text = (ROOT / page).read_text(encoding="utf-8")
-    return dict(re.findall(r'^```python title="([\w.]+)"\n(.*?)^```', text, flags=re.MULTILINE | re.DOTALL))
-
-
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
     """Environment variables under which Python finds the package as `pip install .` installs it, and no extra's."""
@@ -93,8 +87,8 @@ def test_commands_run_after_a_plain_install_in_an_empty_folder(plain, tmp_path):
 
 @pytest.mark.parametrize("page", ["README.md", *(page for page in DOCS if blocks(page, "python"))])
 def test_every_other_program_runs(page, tmp_path):
-    for name, content in files(page).items():
-        (tmp_path / name).write_text(content, encoding="utf-8")
+    for saved in (ROOT / page).parent.glob("*.py"):
+        shutil.copy(saved, tmp_path)
     programs_of_page = blocks(page, "python")[1 if page == "README.md" else 0 :]
     each = "import json, sys\nfor one in json.loads(sys.argv.pop()):\n    exec(one, {'__name__': '__main__'})"
     run([sys.executable, "-c", each, json.dumps(programs_of_page)], tmp_path)

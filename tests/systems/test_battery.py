@@ -1,4 +1,4 @@
-"""The battery of docs/howto/battery.md: equilibrium, equal bits in a batch, limits, gradient, copies."""
+"""The battery of docs/howto: equilibrium, equal bits in a batch, limits, gradient, copies."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import dataclasses
 import importlib.util
 import pickle
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.physics.extended import largest_rate, scenario
-from tests.test_readme import files
 from wtg_gym import GFMWTGEnv, LoadStep, Plant, Scenario
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
@@ -33,10 +33,9 @@ BAD = [
 
 
 @pytest.fixture(scope="module")
-def battery(tmp_path_factory):
+def battery():
     """The module that the page asks its reader to save."""
-    path = tmp_path_factory.mktemp("howto") / "battery.py"
-    path.write_text(files("docs/howto/battery.md")[path.name], encoding="utf-8")
+    path = Path(__file__).parents[2] / "docs/howto/battery.py"
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
