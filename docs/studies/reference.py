@@ -95,8 +95,8 @@ def weights():
     rows = [(f"`{name}`", *(value(env.settings, name) for env in ENVS.values())) for name in CostWeights._fields]
     table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(ENVS)))
     return (
-        f"{table}\n\n`cap` limits the sum, in v1 without frequency and load not served ([terms](benchmark.md#the-cost), "
-        "[score and reward](benchmark.md#score-and-reward))."
+        f"{table}\n\n`cap` limits the sum, in v1 without frequency and load not served "
+        "([terms](benchmark.md#the-cost), [score and reward](benchmark.md#score-and-reward))."
     )
 
 

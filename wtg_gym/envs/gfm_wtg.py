@@ -47,9 +47,8 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     Terminated (`info["termination_reason"]`) at a "frequency limit" (outside 0.95 … 1.03 p.u., at 50 Hz 47.5 … 51.5),
     a "loss of synchronism" (two units more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u.
     for more than 3 s), or a "numerical failure". A rotor's "stall", "over-speed" or, in extended physics, "under-speed"
-    terminates in v0 and disconnects its group in v1 (`on_failure`). Protections act every 0.1 s, or once in a shorter
-    control interval. Truncated when the time is over; learners that then bootstrap, such as Stable-Baselines3's, expect
-    more than the score counts.
+    terminates in v0 and disconnects its group in v1 (`on_failure`). Truncated when the time is over; learners that then
+    bootstrap, such as Stable-Baselines3's, expect more than the score counts.
 
     ## Arguments
     Those of `wtg_gym.envs.EnvSettings`, and `render_mode`. `reset(options={"scenario": …})` plays a scenario of your
