@@ -91,7 +91,7 @@ def rates(
 
 
 def limited(charge: BatteryState, _: Battery) -> BatteryState:
-    """What a step may leave: a limiter that is not needed rests at 0."""
+    """After a step a limiter that is not needed rests at 0."""
     return BatteryState(charge.angle, clip(charge.energy, 0.0, 1.0), max(charge.lowered, 0.0), max(charge.raised, 0.0))
 
 
