@@ -30,8 +30,8 @@ SOURCES = {
     "NREL 5 MW": "J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060 (2009)",
     "calibrated": "chosen for the paper's settled frequency (0.996 p.u.) and final power of WTG 2 (below 0.3 p.u.)",
     "ENTSO-E": "Commission Regulation (EU) 2016/631, articles 13 and 16, continental Europe",
-    "REGFM_A1": "W. Du et al.: Model Specification of Droop-Controlled, Grid-Forming Inverters (REGFM_A1), Pacific "
-    "Northwest National Laboratory, PNNL-32278 (2021)",
+    "REGFM_A1": "W. Du et al.: Model Specification of Droop-Controlled, Grid-Forming Inverters (REGFM_A1), "
+    "PNNL-32278 (2021)",
     "ENTSO-E defence": "Commission Regulation (EU) 2017/2196, annex, continental Europe",
     "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016)",
     "Kundur": "P. Kundur: Power System Stability and Control: F_HP = 0.3, T_RH = 7 s",
