@@ -36,9 +36,9 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     ## Rewards
     In v0 minus the cost of the step; see `reward`. In v1 what the step saves against the reference at 100,
     100/Λ · (c_100 - c) / (J_100 + J0); the last step adds what makes the return the score minus 100: mostly less than
-    10 points, up to thousands where an episode cost much more than the reference. Where `max_episode_steps` cuts an episode, `gym.make_vec` has this step;
-    `gym.make` does not, so that the return is no score. The cost is the sum of the terms `info["cost_…"]`.
-    `info["cost"]` is another number, for safe reinforcement learning.
+    10 points, up to thousands where an episode cost much more than the reference. Where `max_episode_steps` cuts an
+    episode, `gym.make_vec` has this step; `gym.make` does not, so that the return is no score. The cost is the sum of
+    the terms `info["cost_…"]`. `info["cost"]` is another number, for safe reinforcement learning.
 
     ## Starting State
     The exact equilibrium of the scenario's wind, load and grid at nominal frequency.
