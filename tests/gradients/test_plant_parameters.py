@@ -40,11 +40,8 @@ def given() -> tuple[list[Scenario], np.ndarray, np.ndarray]:
     actions = rng.uniform(-0.4, 0.4, (N_STEPS, NUM_ENVS, 4))
     time = np.arange(0.0, 31.0, 0.1)
     wind = (np.full((2, 1), 8.0), np.full((2, 1), 9.0), np.tile(11.5 + 1.5 * np.sin(time), (2, 1)))
-    power = (20.0, -30.0, 15.0)
-    scenarios = [
-        Scenario(name="given", wind_speed=wind[env], events=(LoadStep(time_s=1.0, bus=4, power_mw=power[env]),))
-        for env in range(NUM_ENVS)
-    ]
+    steps = [LoadStep(time_s=1.0, bus=4, power_mw=own) for own in (20.0, -30.0, 15.0)]
+    scenarios = [Scenario(name="given", wind_speed=w, events=(step,)) for w, step in zip(wind, steps, strict=True)]
     return scenarios, actions, rng.normal(size=(N_STEPS, NUM_ENVS, 8))
 
 
@@ -99,10 +96,8 @@ def test_a_scenarios_droop_is_the_droop_in_force_until_a_governor_is_lost():
         dataclasses.replace(scenario, governor_droop=0.04, inertia_scale=0.7, events=(*scenario.events, *loss))
         for scenario, loss in zip(scenarios, losses, strict=True)
     ]
-    ends = []
-    for droop in (0.04 + 1e-6, 0.04 - 1e-6):
-        moved = [dataclasses.replace(scenario, governor_droop=droop) for scenario in base]
-        ends.append(weighed(PLANT, moved, actions, weights))
+    moved = [[dataclasses.replace(own, governor_droop=0.04 + h) for own in base] for h in (1e-6, -1e-6)]
+    ends = [weighed(PLANT, own, actions, weights) for own in moved]
     expected = (ends[0] - ends[1]) / 2e-6
     result = column("machines.1.governor.droop_pu", base, weights)
     assert np.abs(expected[:2]).min() > 0.1
@@ -121,21 +116,16 @@ def test_inertia_is_scaled_by_scenarios_and_gone_with_its_machine():
     name = "machines.3.two_h_s"
     lost = (*scenarios[0].events, MachineOutage(time_s=3.05, bus=3))
     early = (*scenarios[0].events, LoadStep(time_s=4.0, bus=4, power_mw=600.0))
-    scenarios = [
-        dataclasses.replace(scenarios[0], inertia_scale=0.6),
-        dataclasses.replace(scenarios[0], events=lost),
-        dataclasses.replace(scenarios[0], events=early),
-    ]
+    changes = ({"inertia_scale": 0.6}, {"events": lost}, {"events": early})
+    scenarios = [dataclasses.replace(scenarios[0], **own) for own in changes]
     # After its end an episode shows what it showed last, which is not differentiated.
     tape().play(scenarios, actions)
     ended = int(tape().batch.simulator.env_values("step")[2] // 4)
     assert ended < N_STEPS - 20
     weights = weights.copy()
     weights[ended:, 2] = 0.0
-    ends = [
-        weighed(with_parameters(PLANT, {name: KNOWN[name] + sign * 1e-3}), scenarios, actions, weights)
-        for sign in (1.0, -1.0)
-    ]
+    plants = [with_parameters(PLANT, {name: KNOWN[name] + h}) for h in (1e-3, -1e-3)]
+    ends = [weighed(plant, scenarios, actions, weights) for plant in plants]
     assert column(name, scenarios, weights) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-5)
 
 
