@@ -47,8 +47,9 @@ def changed(draw: st.DrawFn, original):
     return data
 
 
-def write(path: Path, text: str) -> None:
+def write(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8", errors="surrogatepass")
+    return path
 
 
 def read_or_refused(path: Path, read: Callable[[Path], object]) -> None:

@@ -33,10 +33,7 @@ BAD = [
     ("simulate --scenario broken.json", "broken.json is not JSON"),
     ("simulate --scenario long.json", "long.json"),
     ("simulate --scenario sensors.json", "say with --suite whose grid it is"),
-    (
-        "simulate --strategy formula.toml",
-        "the law file formula.toml: the name of a law must be 1 … 60 characters on one",
-    ),
+    ("simulate --strategy formula.toml", "the law file formula.toml: the name of a law must be 1 … 60 characters"),
     ("simulate --strategy alike.toml", "alike.toml: name 'M-PPT' is, or looks like, that of a built-in law"),
     ("simulate --wind-csv nowhere.csv", "nowhere.csv: No such file"),
     ("evaluate --entries mppt mppt", "the entry mppt is given twice"),

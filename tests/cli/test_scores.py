@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import wtg_gym.cli.scoring
-from tests.cli.calls import error_of, json_of
+from tests.cli.calls import error_of, json_of, printed_by
 from tests.interruption import interrupted
 from tests.submissions import models
 from tests.submissions.models import TOML, after, folder
@@ -27,12 +27,7 @@ HEADINGS = [
     *("Score", "Where control decides", "Bad runs", "Scenarios"),
     *("Operators' tests", "Faults of sensors", "Energy", "Damping"),
 ]
-CLAIMS = [
-    ("kind", "feedback", True),
-    ("policy_sha256", "0" * 64, True),
-    ("observation_mode", "privileged", True),
-    ("source", "Somebody", False),
-]
+CLAIMS = {"kind": "feedback", "policy_sha256": "0" * 64, "observation_mode": "privileged", "source": "Somebody"}
 OTHER = TOML.replace("Mine", "Other")
 _FEW = ("--seeds", "20000", "20001")
 
@@ -43,8 +38,7 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
     arguments = ["--suite", "standard-v1", "--split", "validation", "--scenarios", "12"]
     mine = tmp_path / "mine"
     entries = ["--entries", "coordinated-piecewise", "fast-droop"]
-    assert main(["evaluate", *entries, *arguments, "--results", str(mine)]) == 0
-    out = capsys.readouterr().out
+    out = printed_by(capsys, "evaluate", *entries, *arguments, "--results", str(mine)).out
     assert all(f"  {name} " in out for name in ("fast-droop", *V1.anchors)) and "mppt" not in out
     assert max(map(len, out.splitlines())) <= 120
     assert sorted(p.name for p in mine.iterdir()) == [f"standard-v1-validation.{end}" for end in ("csv", "json")]
@@ -73,22 +67,19 @@ def test_interrupted_leaderboard_keeps_its_finished_parts(capsys, monkeypatch, t
     monkeypatch.chdir(tmp_path)
     stop = interrupted(evaluator.play_batch, when=lambda entry, *_: entry.name == "deloaded-10")
     monkeypatch.setattr(evaluator, "play_batch", stop)
-    assert main([*_LEADERBOARD, "deloaded-5", "deloaded-10", "--threads", "1"]) == 130
+    message = printed_by(capsys, *_LEADERBOARD, "deloaded-5", "deloaded-10", "--threads", "1", code=130).err
     partial = Path("results") / "partial"
-    assert f"finished parts are kept in {partial}: run the same command again to go on" in capsys.readouterr().err
+    assert f"finished parts are kept in {partial}: run the same command again to go on" in message
     assert list(partial.glob("*.json"))
     monkeypatch.setattr(evaluator, "play_batch", interrupted(evaluator.play_batch))
-    assert main([*_LEADERBOARD, "deloaded-5", "--results", "other"]) == 130
-    assert "finished parts" not in capsys.readouterr().err
+    assert "finished parts" not in printed_by(capsys, *_LEADERBOARD, "deloaded-5", "--results", "other", code=130).err
 
 
 def test_leaderboard_ranks_writes_and_updates_the_readme(capsys, tmp_path):
-    readme = tmp_path / "README.md"
+    readme, results = tmp_path / "README.md", tmp_path / "results"
     readme.write_text("before\n<!-- leaderboard:paper:start -->\nold\n<!-- leaderboard:paper:end -->\nafter\n")
-    results = tmp_path / "results"
     arguments = [*_PAPER, "--results", str(results), "--readme", str(readme)]
-    assert main(arguments) == 0
-    printed = capsys.readouterr()
+    printed = printed_by(capsys, *arguments)
     assert f"{readme}: updated" in printed.err
     rows = [line.split() for line in printed.out.splitlines() if line.split()[1:2] and line.split()[0] in "123"]
     assert rows[0][:2] == ["1", "coordinated-piecewise"]
@@ -96,8 +87,7 @@ def test_leaderboard_ranks_writes_and_updates_the_readme(capsys, tmp_path):
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
     assert "| 1 | coordinated-piecewise |" in text
     assert sorted(path.name for path in results.glob("*.*")) == ["paper-test.csv", "paper-test.json"]
-    assert main(arguments) == 0
-    assert f"{readme}: already up to date" in capsys.readouterr().err
+    assert f"{readme}: already up to date" in printed_by(capsys, *arguments).err
 
 
 def test_leaderboard_plays_only_what_is_new(monkeypatch, tmp_path):
@@ -117,9 +107,8 @@ def test_leaderboard_plays_only_what_is_new(monkeypatch, tmp_path):
 
 def test_results_of_other_scenarios_or_settings_are_not_overwritten(capsys, tmp_path):
     common = ["evaluate", "--suite", "standard", "--results", str(tmp_path), "--entries", "mppt"]
-    assert main([*common, "--scenarios", "2"]) == 0
+    printed_by(capsys, *common, "--scenarios", "2")
     stored = _files(tmp_path)
-    capsys.readouterr()
     for again, other in (("3", "seeds"), ("1 --duration 10", "settings and seeds")):
         message = error_of(capsys, *common, "--scenarios", *again.split())
         assert f"its standard-validation.json is of other {other} and would be lost; give another folder" in message
@@ -150,13 +139,8 @@ def stored(tmp_path_factory):
     return path
 
 
-def _recompute(path: Path, *options: str) -> int:
-    return main(["results", "recompute", str(path), "--entries", "deloaded-5", *options])
-
-
 def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named(stored, capsys):
-    assert _recompute(stored / "standard-test.json") == 0
-    printed = capsys.readouterr()
+    printed = printed_by(capsys, "results", "recompute", str(stored / "standard-test.json"), "--entries", "deloaded-5")
     assert printed.out.startswith("identical: ")
     assert "not the benchmark's own: 4 scenarios, those of the benchmark are 200" in printed.err
     assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in printed.err
@@ -169,15 +153,16 @@ def test_numbers_that_were_made_up_are_named(stored, tmp_path, capsys):
     better = dataclasses.replace(first, metrics={**first.metrics, "cost": first.metrics["cost"] * 0.5})
     # Written by the package itself, so that all checksums fit.
     path, _ = dataclasses.replace(results, episodes=(better, *results.episodes[1:])).write(tmp_path)
-    assert _recompute(path) == 1
-    head, *_, row = capsys.readouterr().out.splitlines()
+    printed = printed_by(capsys, "results", "recompute", str(path), "--entries", "deloaded-5", code=1)
+    head, *_, row = printed.out.splitlines()
     assert head.startswith("not identical: 1 differences")
     where, stored, now = re.split("  +", row)
     assert where == f"{first.entry}, seed {first.seed}: cost" and float(stored) == 0.5 * float(now)
 
 
-@pytest.mark.parametrize(("key", "value", "differs"), CLAIMS)
-def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, differs, stored):
+@pytest.mark.parametrize(("key", "value"), CLAIMS.items())
+def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, stored):
+    differs = key != "source"
     results = Results.read(stored / "standard-test.json")
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
     result = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
@@ -214,18 +199,15 @@ def test_a_page_of_markdown_has_the_numbers_of_the_evaluation_and_the_dearest_sc
 
 
 def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(capsys, tmp_path):
-    target = tmp_path / "new"
-    assert main(["submission", "new", str(target)]) == 0
-    capsys.readouterr()
+    target, check = tmp_path / "new", ("submission", "check", str(tmp_path / "new"))
+    printed_by(capsys, "submission", "new", str(target))
     (target / "policy.onnx").write_bytes(models.of_v1().SerializeToString())
     entry = target / "entry.toml"
     empty = entry.read_text(encoding="utf-8")
-    assert main(["submission", "check", str(target)]) == 1
-    assert "authors must be a list of 1 … 40 names" in capsys.readouterr().out
+    assert "authors must be a list of 1 … 40 names" in printed_by(capsys, *check, code=1).out
     filled = empty.replace("authors = []", 'authors = ["A"]').replace('name = ""', 'name = "Mine"')
     entry.write_text(filled, encoding="utf-8")
-    assert main(["submission", "check", str(target)]) == 0
-    message = capsys.readouterr().out
+    message = printed_by(capsys, *check).out
     assert message.count(" passed ") == 6 and "accepted, sha256" in message
 
 
@@ -233,8 +215,7 @@ def test_score_is_that_of_evaluate(capsys, tmp_path):
     seeds = [folder(tmp_path / str(i), toml=TOML.replace("seed = 0", f"seed = {i}")) for i in range(2)]
     (seeds[1] / "policy.onnx").write_bytes(models.other().SerializeToString())
     results = tmp_path / "results"
-    assert main(["submission", "score", *map(str, seeds), *_FEW, "--results", str(results)]) == 0
-    message = capsys.readouterr().out
+    message = printed_by(capsys, "submission", "score", *map(str, seeds), *_FEW, "--results", str(results)).out
     assert "Mine (2 seeds)" in message and "mppt" in message
     stored = Results.read(results / "standard-test.json")
     again = evaluate([load_entries(seed)[0] for seed in seeds], "standard", "test", seeds=[20_000, 20_001])
@@ -243,14 +224,13 @@ def test_score_is_that_of_evaluate(capsys, tmp_path):
 
 def test_score_ranks_what_is_not_refused(capsys, tmp_path):
     good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after("action = Tile(linear)"), OTHER)
-    assert main(["submission", "score", str(good), str(bad), *_FEW, "--results", str(tmp_path / "r")]) == 1
-    printed = capsys.readouterr()
+    score = ("submission", "score", str(good))
+    printed = printed_by(capsys, *score, str(bad), *_FEW, "--results", str(tmp_path / "r"), code=1)
     assert "Mine" in printed.out and "Other" not in printed.out
     assert "b: loading: onnxruntime cannot load the policy" in printed.err
     assert {e["name"] for e in Results.read(tmp_path / "r" / "standard-test.json").entries} == {"Mine", *V0.anchors}
     twin = folder(tmp_path / "c")
-    assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
-    printed = capsys.readouterr()
+    printed = printed_by(capsys, *score, str(twin), *_FEW, "--results", str(tmp_path / "s"), code=1)
     assert printed.out == "" and "Mine (training seed 0) is given twice" in printed.err
     assert not list((tmp_path / "s").glob("*.*"))
 
@@ -278,9 +258,8 @@ def test_pages_about_entries_of_v1_come_with_their_scores(capsys, tmp_path):
 
 
 def test_leaderboard_shows_laws_before_policies_are_played(capsys, tmp_path):
-    arguments = ["leaderboard", "--suite", "paper", "--entries", "mppt", str(folder(tmp_path / "mine"))]
-    assert main([*arguments, "--results", str(tmp_path)]) == 0
-    first, both = capsys.readouterr().out.split("suite paper")[1:]
+    arguments = [*_LEADERBOARD, "mppt", str(folder(tmp_path / "mine")), "--results", str(tmp_path)]
+    first, both = printed_by(capsys, *arguments).out.split("suite paper")[1:]
     assert "mppt" in first and "Mine" not in first and "Mine" in both
 
 

@@ -14,7 +14,8 @@ import pytest
 
 import wtg_gym
 import wtg_gym.cli
-from tests.cli.calls import ROOT, error_of, json_of
+from tests.changes import write
+from tests.cli.calls import ROOT, error_of, json_of, printed_by
 from wtg_gym import Scenario, evaluate, get_suite, simulate
 from wtg_gym.cli import build_app, main, options
 from wtg_gym.cli.output import note, print_json, print_table, say
@@ -26,8 +27,8 @@ _QUICK = ("--duration", "6")
 
 
 def test_simulate_tables_every_strategy_with_units_and_all_are_the_built_in_ones_once(capsys):
-    assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-5", "--strategy", "coordinated-linear"]) == 0
-    text = capsys.readouterr().out
+    laws = ("--strategy", "mppt", "deloaded-5", "--strategy", "coordinated-linear")
+    text = printed_by(capsys, "simulate", *_QUICK, *laws).out
     assert "5 s: +75 MW at bus 2" in text
     for unit in ("nadir [Hz]", "zenith [Hz]", "RoCoF, 500 ms [Hz/s]", "rotor speed [p.u.]", "power [p.u.]"):
         assert unit in text
@@ -43,10 +44,10 @@ def test_the_group_that_tripped_is_named(capsys):
     (run,) = json_of(capsys, *arguments, "--json")["runs"]
     assert run["status"] == "completed"
     assert [(trip["group"], trip["cause"]) for trip in run["tripped_groups"]] == [(2, "event")]
-    assert main(arguments) == 0
     at_s = [event.time_s for event in get_suite("standard-v1").scenario(10029).events if isinstance(event, GroupTrip)]
     assert [trip["time_s"] for trip in run["tripped_groups"]] == pytest.approx(at_s)
-    assert f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s (event)" in capsys.readouterr().out
+    said = f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s (event)"
+    assert said in printed_by(capsys, *arguments).out
 
 
 def test_traces_hold_every_sample_with_units_in_the_header(tmp_path):
@@ -75,10 +76,8 @@ def test_key_figures_are_those_of_the_arrays_of_a_run(capsys):
     run = simulate(suite.scenario(10_000), "mppt", suite.plant)
     rocof = run.rocof_hz_s(0.5)
     wanted = {
-        "nadir_hz": run.frequency_hz.min(),
-        "zenith_hz": run.frequency_hz.max(),
-        "local_nadir_hz": run.local_frequency_hz.min(),
-        "local_zenith_hz": run.local_frequency_hz.max(),
+        **{"nadir_hz": run.frequency_hz.min(), "zenith_hz": run.frequency_hz.max()},
+        **{"local_nadir_hz": run.local_frequency_hz.min(), "local_zenith_hz": run.local_frequency_hz.max()},
         "largest_rocof_hz_s": rocof[np.abs(rocof).argmax()],
         "shed_energy_mws": run.shed_energy_mws[-1],
         "final_frequency_hz": run.frequency_hz[-1],
@@ -99,8 +98,8 @@ def test_wind_and_groups_follow_each_other_or_a_csv_file(capsys, tmp_path):
     data = json_of(capsys, "simulate", "--suite", "paper-v1", "--duration", "1", "--wind", "9", "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.0] * 4
     assert [group["bus"] for group in data["plant"]["groups"]] == [2, 3, 6, 8]
-    path = tmp_path / "wind.csv"
-    path.write_text("time_s,wind_1_m_s,wind_2_m_s\n" + "".join(f"{second},9.5,8.0\n" for second in range(8)))
+    rows = "".join(f"{second},9.5,8.0\n" for second in range(8))
+    path = write(tmp_path / "wind.csv", "time_s,wind_1_m_s,wind_2_m_s\n" + rows)
     data = json_of(capsys, "simulate", *_QUICK, "--wind-csv", str(path), "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.5, 8.0]
 
@@ -113,29 +112,25 @@ def test_suite_of_v1_runs_in_its_own_grid(capsys, tmp_path):
         (episode,) = played.episodes_of(run["strategy"])
         # The least frequency may lie within a control interval; the command rounds to nine decimals.
         assert -1e-9 < run["nadir_hz"] - episode.metrics["nadir_hz"] < 1e-4
-    assert main(["suites", "standard-v1", "--seed", "10003", "--json"]) == 0
-    path = tmp_path / "scenario.json"
-    path.write_text(capsys.readouterr().out)
+    shown = printed_by(capsys, "suites", "standard-v1", "--seed", "10003", "--json").out
+    path = write(tmp_path / "scenario.json", shown)
     again = json_of(capsys, "simulate", "--suite", "standard-v1", "--scenario", str(path), *laws, "--json")
     assert again["runs"] == data["runs"]
 
 
 def test_plot_replaces_an_older_file_and_leaves_nothing_beside_it(tmp_path):
     pytest.importorskip("matplotlib")
-    path = tmp_path / "run.PDF"
-    path.write_text("old", encoding="utf-8")
+    path = write(tmp_path / "run.PDF", "old")
     assert main(["simulate", *_QUICK, "--plot", str(path)]) == 0
     assert path.stat().st_size > 1000 and list(tmp_path.iterdir()) == [path]
 
 
 def test_example_of_a_law_is_printed_and_simulated_under_its_own_name(capsys, tmp_path):
-    assert main(["simulate", "--example-law"]) == 0
-    law, other = tmp_path / "my_law.toml", tmp_path / "other.toml"
-    law.write_text(capsys.readouterr().out, encoding="utf-8")
+    law = write(tmp_path / "my_law.toml", printed_by(capsys, "simulate", "--example-law").out)
     assert law.read_bytes() == (ROOT / "baselines/example_law.toml").read_bytes()
     data = json_of(capsys, "simulate", "--duration", "1", "--strategy", str(law), "--json")
     assert [run["strategy"] for run in data["runs"]] == ["reserve-7"]
-    other.write_bytes(law.read_bytes())
+    other = write(tmp_path / "other.toml", law.read_text())
     assert "two laws are called 'reserve-7'" in error_of(capsys, "simulate", "--strategy", str(law), str(other))
 
 
@@ -143,8 +138,7 @@ def test_dumped_scenario_can_be_edited_and_simulated(capsys, tmp_path):
     data = json_of(capsys, "suites", "standard", "--seed", "20003", "--json")
     assert Scenario.from_dict(data).to_json() == get_suite("standard").scenario(20_003).to_json()
     data["events"] = [{"kind": "load_step", "time_s": 2.0, "bus": 3, "power_mw": 30.0}]
-    path = tmp_path / "mine.json"
-    path.write_text(json.dumps(data), encoding="utf-8")
+    path = write(tmp_path / "mine.json", json.dumps(data))
     result = json_of(capsys, "simulate", *_QUICK, "--scenario", str(path), "--json")
     assert [event["power_mw"] for event in result["scenario"]["events"]] == [30.0]
     assert result["runs"][0]["end_time_s"] == 6.0
@@ -182,8 +176,7 @@ def test_reader_that_leaves_early_is_no_error(words):
 def test_terminal_gets_a_progress_bar(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
-    assert main(["simulate", "--duration", "6"]) == 0
-    printed = capsys.readouterr()
+    printed = printed_by(capsys, "simulate", *_QUICK)
     assert "━" in printed.err and "coordinated-piecewise" in printed.out and "━" not in printed.out
 
 
@@ -197,8 +190,7 @@ def test_help_of_every_command_teaches_by_examples_that_it_takes(capsys, monkeyp
     for name in names:
         own = [part for part in build_app([name])[name] if not part.startswith("-")]
         for command in [(name, part) for part in own] or [(name,)]:
-            assert main([*command, "--help"]) == 0
-            text = capsys.readouterr().out
+            text = printed_by(capsys, *command, "--help").out
             lines = re.findall(rf"^  (?:\w+=\S+ )?wtg-gym ({' '.join(command)}.*)$", text, re.MULTILINE)
             assert lines, command
             for line in lines:
@@ -247,17 +239,15 @@ def test_suites_lists_every_suite_and_commands_mean_that_of_the_benchmark(capsys
     listed = json_of(capsys, "suites", "--json")
     hashes = {suite["name"]: suite["hash"] for suite in listed}
     assert list(hashes) == list(SUITES) and FROZEN_HASHES.items() <= hashes.items()
-    assert main(["suites"]) == 0
-    text = capsys.readouterr().out
+    text = printed_by(capsys, "suites").out
     assert all(name in text and own[:12] in text for name, own in hashes.items())
 
 
 def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys):
     (data,) = json_of(capsys, "suites", "standard-v1")
     assert (data["environment"], data["hash"]) == ("GFMWTG-14bus-v1", SUITES["standard-v1"].hash)
-    assert [(g["bus"], g["n_turbines"]) for g in data["plant"]["groups"]] == [
-        *((2, 20.0), (3, 14.0), (6, 10.0), (8, 8.0))
-    ]
+    groups = [(group["bus"], group["n_turbines"]) for group in data["plant"]["groups"]]
+    assert groups == [(2, 20.0), (3, 14.0), (6, 10.0), (8, 8.0)]
     assert data["sensors"]["delay_s"] == [0.1, 0.3]
     (data,) = json_of(capsys, "suites", "no-wind-sensor-v1", "--json")
     assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"

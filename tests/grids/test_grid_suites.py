@@ -5,8 +5,8 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
-import numpy as np
 import pandapower
 import pandapower.networks
 import pytest
@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.changes import changed, write
-from tests.cli.calls import json_of
+from tests.cli.calls import json_of, printed_by
 from tests.physics.test_grid_files import STRANGER
 from wtg_gym import Entry, GFMWTGEnv, evaluate, get_suite
 from wtg_gym.cli import main
@@ -32,6 +32,10 @@ MISTAKES = [
     ({"places": {"load_buses": [[5, 1.0]]}}, r"Places.load_buses must be tuple\[tuple\[int, float, float\]"),
     ({"places": {"governor_buses": [5]}}, "GovernorLosses.buses: there is no machine with a governor"),
     ({"places": {"line_trips": [[5, 99]]}}, "unknown bus 5"),
+]
+WITHOUT_SUITE = [
+    ({"load_mw": 0.0}, "take 0 MW together"),
+    ({"dispatch_mw": -50.0, "governor": None}, "governor of grid .* take 50"),
 ]
 
 
@@ -97,8 +101,7 @@ def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(fo
 def test_a_suite_with_a_mistake_is_refused_before_anything_is_played(folder, change, words):
     data = data_of(unscreened(str(folder / "ring.json")))
     places = {**data["places"], **change.pop("places", {})}
-    wrong = folder / "wrong.json"
-    wrong.write_text(text_of({**data, **change, "places": places}), encoding="utf-8")
+    wrong = write(folder / "wrong.json", text_of({**data, **change, "places": places}))
     with pytest.raises(ValueError, match=words) as refusal:
         get_suite(str(wrong))
     assert "\n" not in str(refusal.value)
@@ -117,13 +120,7 @@ def test_kinds_without_a_place_do_not_happen(folder):
     assert not any("governor" in scenario.name for scenario in suite.scenarios(suite.validation[:90]))
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"load_mw": 0.0}, "take 0 MW together"),
-        ({"dispatch_mw": -50.0, "governor": None}, "governor of grid .* take 50"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), WITHOUT_SUITE)
 def test_a_grid_without_load_or_with_machines_that_take_power_has_no_suite(folder, change, words):
     where = "buses" if "load_mw" in change else "machines"
     rows = [{**row, **change} if where == "buses" or row is STRANGER[where][-1] else row for row in STRANGER[where]]
@@ -139,12 +136,8 @@ def test_settings_of_a_grid_can_be_changed():
 
 
 def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves():
-    class Still:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            return np.zeros((len(observation), 2)), None
-
     elsewhere = get_suite(EnvSettings(grid="ieee39").suite_name)
-    given = {"name": "still", "policy": Still(), "environment": "GFMWTG-14bus-v1"}
+    given = {"name": "one", "policy": SimpleNamespace(predict=lambda *_: None), "environment": "GFMWTG-14bus-v1"}
     check_version([Entry(**given, per_group=True)], elsewhere)
     for suite, other in ((elsewhere, {}), (get_suite("standard-v1"), {"environment": "GFMWTG-v1"})):
         with pytest.raises(ValueError, match="choose a suite of its own environment; policies with per_group = true"):
@@ -162,10 +155,7 @@ def test_places_name_every_bus_once_and_lines_that_are_no_bridges():
 STRANGE = {"_module": "a_module_of_strangers", "_class": "Thing", "_object": "{}"}
 FRAME = {"_module": "pandas.core.frame", "_class": "DataFrame"}
 HOSTILE = [
-    STRANGE,
-    [STRANGE],
-    {"a": {"b": STRANGE}},
-    {**STRANGE, "_class": "function"},
+    *(STRANGE, [STRANGE], {"a": {"b": STRANGE}}, {**STRANGE, "_class": "function"}),
     {"_module": "pandapower.control", "_class": "ConstControl", "_object": "{}"},
     {**FRAME, "_object": json.dumps({"columns": ["a"], "index": [0], "data": [[STRANGE]]})},
     {**FRAME, "_object": json.dumps(STRANGE).replace("_module", "\\u005fmodule")},
@@ -182,11 +172,8 @@ def network(tmp_path_factory):
 
 def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp_path, capsys):
     output = tmp_path / "ne.json"
-    assert main(["grid", "import", str(network), "--output", str(output), "--wind", "33", "35"]) == 0
-    message = capsys.readouterr().err
-    assert (
-        "all 10 machines are typical ones" in message and "turbines at bus 33: " in message and str(output) in message
-    )
+    message = printed_by(capsys, "grid", "import", str(network), "--output", str(output), "--wind", "33", "35").err
+    assert all(text in message for text in ("all 10 machines are typical ones", "turbines at bus 33: ", str(output)))
     grid = get_grid(str(output))
     assert grid.case.frequency_hz == 60.0 and grid.case.base_mva == 100.0
     assert len(grid.case.branches) == 46 and grid.case.bus_numbers == get_grid("ieee39").case.bus_numbers
@@ -194,26 +181,22 @@ def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp
     assert grid.case.load_mw == pytest.approx(6254.23)
     assert all(bus.x is not None for bus in grid.case.buses)
 
-    assert main(["grid", "check", str(output)]) == 0
-    rows = capsys.readouterr().out
+    rows = printed_by(capsys, "grid", "check", str(output)).out
     assert "39 buses, 46 branches" in rows and "all 10 machines are typical ones" in rows
     short = ("--scenarios", "1", "--duration", "2", "--entries", "mppt", "--json")
     assert "mppt" in str(json_of(capsys, "evaluate", "--suite", str(output), *short))
 
 
 def test_a_grid_that_is_here_is_checked_by_its_name(capsys):
-    assert main(["grid", "check", "kundur"]) == 0
-    rows = capsys.readouterr().out
+    rows = printed_by(capsys, "grid", "check", "kundur").out
     assert "11 buses" in rows and "damped by" in rows
     assert "2, 1800 MVA together" in rows and "in place of 2 others" in rows and "beyond 0.9" not in rows
 
 
 def test_a_suite_is_checked_with_its_own_machines_and_groups(capsys):
-    assert main(["grid", "check", "weak-grid-v1"]) == 0
-    assert "1, 122 MVA together" in (rows := capsys.readouterr().out) and "4, 52 turbines" in rows
-    assert [grid_of(name)[0].groups for name in ("ieee14", "standard-v1")] == [
-        get_suite("standard-v1").plant.groups
-    ] * 2
+    rows = printed_by(capsys, "grid", "check", "weak-grid-v1").out
+    assert "1, 122 MVA together" in rows and "4, 52 turbines" in rows
+    assert {grid_of(name)[0].groups for name in ("ieee14", "standard-v1")} == {get_suite("standard-v1").plant.groups}
     assert grid_of("ieee39-v1") == (get_grid("ieee39"), "ieee39-v1")
 
 
@@ -255,8 +238,7 @@ def nine():
 def test_no_module_is_imported_because_a_file_names_it(nine, thing, tmp_path, capsys, monkeypatch):
     (tmp_path / "a_module_of_strangers.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
-    path = tmp_path / "network.json"
-    path.write_text(json.dumps({**nine, "_object": {**nine["_object"], "thing": thing}}))
+    path = write(tmp_path / "network.json", json.dumps({**nine, "_object": {**nine["_object"], "thing": thing}}))
     code, message = imported(path, capsys)
     assert code == 2 and "network.json: " in message and ("only tables are read" in message or "is not JSON" in message)
     assert "a_module_of_strangers" not in sys.modules
@@ -271,8 +253,7 @@ def test_an_old_pandapower_is_refused(network, capsys, monkeypatch):
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_a_changed_network_is_imported_or_refused_in_a_line(nine, tmp_path, data, capsys):
-    path = tmp_path / "network.json"
     # The mark of a network stands at its beginning.
-    write(path, json.dumps({**nine, "_object": data.draw(changed(nine["_object"]))}))
+    path = write(tmp_path / "network.json", json.dumps({**nine, "_object": data.draw(changed(nine["_object"]))}))
     code, message = imported(path, capsys)
     assert code == 0 or (code == 2 and message.startswith("wtg-gym: error: ") and "network.json" in message)

@@ -15,6 +15,7 @@ import pandapower.networks
 import pypowsybl
 import pytest
 
+from tests.changes import write
 from wtg_gym.grids import dyr, powsybl, solved_case
 from wtg_gym.grids.reading import read_case, with_wind
 from wtg_gym.grids.solved_case import power_flow
@@ -38,25 +39,21 @@ def raw(tmp_path: Path, version: int = 33, dynamic: str = "", **more: str) -> tu
     text = (FOLDER / "three.raw").read_text().replace(",33,", f",{version},", 1)
     for section, records in more.items():
         text = text.replace(f"0 / END OF {section}\n", f"{records}0 / END OF {section}\n")
-    path, dyr = tmp_path / "three.raw", tmp_path / "three.dyr"
-    path.write_text(text)
-    dyr.write_text(dynamic)
-    return path, dyr
+    return write(tmp_path / "three.raw", text), write(tmp_path / "three.dyr", dynamic)
 
 
 def mpc(tmp_path: Path, base: float = 100.0, bus: str = "", branch: str = "", after: str = "") -> Path:
     """The same three buses in MATPOWER's form."""
     k = base / 100.0
     lines = [f"{a},{b} {r * k} {x * k} {c / k} 0 0 0 0 0 1;" for a, b, r, x, c in _LINES]
-    path = tmp_path / "three.m"
-    path.write_text(
+    return write(
+        tmp_path / "three.m",
         f"function mpc = three\nmpc.version = '2';\nmpc.baseMVA = {base}; % MVA\n"
         "mpc.bus = [1 3 0 0 0 0 1 1.02 0 220 1 1.1 0.9; 2 2 20 5 0 0 1 1.01 0 220 1 1.1 0.9;\n"
         f"3 1 90 30 0 0 1 1 0 220 1 1.1 0.9\n{bus}];\n"
         "mpc.gen = [\n1 60 0 Inf -Inf 1.02 100 1 0 0;\n2 55 10 60 -60 1.01 100 1 200 0;\n];\n"
-        f"mpc.branch = [\n{chr(10).join(lines)}\n{branch}];\nmpc.genfuel = {{'coal'; 'wind'}};\n{after}\n"
+        f"mpc.branch = [\n{chr(10).join(lines)}\n{branch}];\nmpc.genfuel = {{'coal'; 'wind'}};\n{after}\n",
     )
-    return path
 
 
 @pytest.fixture
@@ -96,11 +93,9 @@ def test_machines_of_a_DYR_file_and_what_was_changed_about_them(tmp_path):
     grid = read_case(path, dynamic)
     first, second = grid.case.machines
     assert (first.two_h_s, first.resistance, first.x_d, first.saturation_1_2) == (9.0, 0.001, 1.8, 0.3)
-    assert first.exciter.gain == 50.0
-    assert (first.governor.droop_pu, first.governor.gate_max_pu) == (0.05, 1.0)
+    assert (first.exciter.gain, first.governor.droop_pu, first.governor.gate_max_pu) == (50.0, 0.05, 1.0)
     assert second.x_q_transient == second.x_q == 0.7 and second.x_leakage == pytest.approx(0.2)
-    assert second.exciter.saturation_voltage_1_pu == 3.0
-    assert second.exciter.regulator_max_pu == 999.0
+    assert (second.exciter.saturation_voltage_1_pu, second.exciter.regulator_max_pu) == (3.0, 999.0)
     assert (second.stabiliser.gain, second.stabiliser.lead_time_1_s) == (20.0, 0.05)
     for text in ("GENSAL is a GENROU", "leakage reactance 0.3 p.u.", "VRMAX = 0 means no limit"):
         assert text in notes(grid)
@@ -150,10 +145,8 @@ def test_RAW_with_blanks_between_its_fields_and_RAWX_say_the_same_as_with_commas
     assert read_case(FOLDER / "three.rawx").case == case
     data = json.loads((FOLDER / "three.rawx").read_text(encoding="utf-8"))
     data["network"]["gne"]["data"] = [["D"]]
-    path = tmp_path / "three.rawx"
-    path.write_text(json.dumps(data))
     with pytest.raises(ValueError, match="1 × gne-device"):
-        read_case(path)
+        read_case(write(tmp_path / "three.rawx", json.dumps(data)))
 
 
 def test_IEEE_CDF_endless_ratings_of_CGMES_and_tie_lines_between_other_nominal_voltages_are_read(tmp_path):
@@ -191,8 +184,7 @@ STATEMENT = "besides its tables it has statements, such as"
 NOT_A_CASE = [
     ("3 1 90 30", "3 1 NaN 30", "row 3 of its table bus has nan in column 3, which must be finite"),
     ("3 1 90 30", "3 1 90 Inf", "row 3 of its table bus has inf in column 4, which must be finite"),
-    ("3 1 90 30", "3 5 90 30", "bus 3 is of type 5; allowed: 1, 2, 3, 4"),
-    ("3 1 90 30", "3 0 90 30", "bus 3 is of type 0; allowed: 1, 2, 3, 4"),
+    *(("3 1 90 30", f"3 {kind} 90 30", f"bus 3 is of type {kind}; allowed: 1, 2, 3, 4") for kind in (0, 5)),
     ("3 1 90 30", "2 1 90 30", "row 2 of its table bus names bus 2, which is there twice"),
     ("0 0 1;\n];\nmpc.gen", "0 0 -1;\n];\nmpc.gen", "row 3 of its table branch has the status -1; allowed: 0, 1"),
     ("100 1 ", "100 0 ", "no generator is in service"),
@@ -204,11 +196,7 @@ NOT_A_CASE = [
     ("3 1 90 30", "3 1 90", "row 3 of its table bus has 12 numbers, the first one 13"),
     ("baseMVA = 100.0", "baseMVA = 100/2", "its baseMVA has '100/2' in row 1, which is no number"),
     ("baseMVA = 100.0", "baseMVA = 100e6", "its baseMVA = 1e+08 MVA is outside the allowed range 0.1 … 100000 MVA"),
-    (
-        "mpc.genfuel =",
-        "mpc.dcline = [1 3 1\n1 3];\nmpc.genfuel =",
-        "row 2 of its table dcline has 2 numbers, the first",
-    ),
+    ("mpc.genfuel =", "mpc.dcline = [1 3 1\n1 3];\nmpc.genfuel =", "row 2 of its table dcline has 2 numbers, the"),
     ("'coal'; ", "", "its genfuel names 1 generators, its table gen 2"),
     ("mpc.genfuel =", "mpc.bus(:, 3) = 1;\nmpc.genfuel =", f"{STATEMENT} 'mpc.bus(:, 3) = 1;'"),
     ("0 0 1;\n];\nmpc.gen", "0 0 1;\n3 9 0 1 0 0 0 0 0 0 1;\n];\nmpc.gen", "row 4 of its table branch names bus 9"),
@@ -218,9 +206,8 @@ NOT_A_CASE = [
 
 
 def test_unknown_scalars_of_MATPOWER_and_a_missing_slack_bus_are_noted_and_limits_may_be_infinite(tmp_path):
-    path = mpc(
-        tmp_path, after="mpc.const_int = 123;\nmpc.time_elapsed = 1.5e-3\nmpc.const_str = 'a b';\nmpc.dcline = [];"
-    )
+    scalars = "mpc.const_int = 123;\nmpc.time_elapsed = 1.5e-3\nmpc.const_str = 'a b';\n"
+    path = mpc(tmp_path, after=scalars + "mpc.dcline = [];")
     path.write_text(path.read_text().replace("[1 3 0", "[1 2 0").replace("1 200 0;", "1 Inf NaN;"))
     grid = read_case(path)
     assert "passed over: const_int, time_elapsed, const_str" in notes(grid)
@@ -252,8 +239,7 @@ def test_the_reactive_part_of_an_admittance_is_negative_where_a_load_takes_react
     load = data["network"]["load"]
     load["fields"] += ["yp", "yq"]
     load["data"] = [[*row, 0.0, -20.0] for row in load["data"]]
-    (tmp_path / "three.rawx").write_text(json.dumps(data))
-    case = read_case(tmp_path / "three.rawx").case
+    case = read_case(write(tmp_path / "three.rawx", json.dumps(data))).case
     assert case.buses[1].load_mvar == pytest.approx(5.0 + 20.0 * 1.01**2)
 
 
@@ -280,11 +266,7 @@ RECORDS = [
     ("GENERATOR", "7,'A',10,1,60,-60,1.01,0,100,0,1,0,0,1,1,100,200,0,1,1\n", "generator data name the bus 7, which"),
     ("BRANCH", "2,-7,'1',0.01,0.1,0,0,0,0,0,0,0,0,1,1,0,1,1\n", "acline data name the bus 7, which is not there"),
     ("BRANCH", "2,2,'1',0.01,0.1,0,0,0,0,0,0,0,0,1,1,0,1,1\n", "acline data have a branch from bus 2 to itself"),
-    (
-        "TRANSFORMER",
-        "1,3,7,'1',1,1,1,0,0,2,'T',1,1,1\n0,0.2,100\n1,0,0\n1,0,0\n1,0,0\n",
-        "transformer data name the bus 7",
-    ),
+    ("TRANSFORMER", "1,3,7,'1',1,1,1,0,0,2,'T',1,1,1\n0,0.2,100\n" + 3 * "1,0,0\n", "transformer data name the bus 7"),
     ("SWSHUNT", "7,0,0,1,1.1,0.9,0,100,'',15,1,20\n", "swshunt data name the bus 7, which is not there"),
     ("BUS", "4,'FOUR',220,5,1,1,1,1,0\n", "bus 4 is of type '5'; allowed: 1, 2, 3, 4"),
     ("LOAD", "3,'2',1,1,1,9000,0,0,0,0,0,1,1,0\n", "pypowsybl finds no power flow: "),
@@ -294,27 +276,19 @@ NO_RAWX = [
     ('{"network": [1]}', "it is no RAWX file: it must have a network with caseid"),
     ('{"network": {}}', "it is no RAWX file: it must have a network with caseid"),
     ('{"network": {"caseid": [1]}}', "its caseid data must have the lists fields and data"),
-    (
-        '{"network": {"caseid": {"fields": ["rev"], "data": [[35], 1]}}}',
-        "its caseid data must be lists, and their fields",
-    ),
+    ('{"network": {"caseid": {"fields": ["rev"], "data": [[35], 1]}}}', "its caseid data must be lists, and their"),
     ('{"network": {"caseid": {"fields": ["rev"], "data": []}}}', "it misses 'rev'"),
 ]
 REFUSED = [
     *((lambda folder, pair=pair: changed(mpc(folder), *pair), f"three.m: {said}") for *pair, said in NOT_A_CASE),
     *((lambda folder, more=more: raw(folder, **dict([more]))[0], f"three.raw: .*{said}") for *more, said in RECORDS),
     *((lambda folder, v=v: raw(folder, v)[0], f"as RAW of version {v}") for v in (30, 34, 35)),
-    *((lambda folder, text=text: written(folder / "no.rawx", text), f"no.rawx: {said}") for text, said in NO_RAWX),
+    *((lambda folder, text=text: write(folder / "no.rawx", text), f"no.rawx: {said}") for text, said in NO_RAWX),
 ]
 
 
-def written(path: Path, text: str) -> Path:
-    path.write_text(text)
-    return path
-
-
 def changed(path: Path, right: str, wrong: str) -> Path:
-    return written(path, path.read_text().replace(right, wrong))
+    return write(path, path.read_text().replace(right, wrong))
 
 
 @pytest.mark.parametrize(("make", "sentence"), REFUSED, ids=[sentence for _, sentence in REFUSED])
@@ -392,9 +366,8 @@ def test_turbines_stand_beside_a_lone_machine_and_one_with_a_governor_stays(net,
     with pytest.raises(ValueError, match=r"no machine gives power at bus 3; those that do are at \[1, 2\]"):
         with_wind(grid, [3])
     net.gen.in_service = False
-    large = replace(
-        grid, case=replace(grid.case, machines=tuple(replace(m, dispatch_mw=3e4) for m in grid.case.machines))
-    )
+    machines = tuple(replace(machine, dispatch_mw=3e4) for machine in grid.case.machines)
+    large = replace(grid, case=replace(grid.case, machines=machines))
     assert [group.bus for group in with_wind(large).groups] == [1]
     with pytest.raises(ValueError, match=r"turbines at bus 2: .*n_turbines"):
         with_wind(large, [2])
