@@ -7,8 +7,7 @@ from wtg_gym.evaluation import Entry, evaluate
 
 @pytest.fixture(scope="session")
 def entries():
-    names = ("mppt", "deloaded-10", "coordinated-piecewise")
-    return [Entry(name=name, strategy=name) for name in names]
+    return [Entry(name=name, strategy=name) for name in ("mppt", "deloaded-10", "coordinated-piecewise")]
 
 
 @pytest.fixture(scope="session")

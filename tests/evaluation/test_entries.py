@@ -13,6 +13,7 @@ import baselines
 from baselines.distilled_law import DistilledLaw, Gains
 from baselines.fast_droop import FastDroop
 from baselines.tip_speed_feedback import TipSpeedFeedback
+from tests.changes import write
 from wtg_gym.evaluation import Entry, load_entries
 from wtg_gym.files import to_json
 from wtg_gym.physics.aerodynamics import tracking_point
@@ -37,6 +38,8 @@ number = 3
 def build():
     return Entry(name="built", policy=Still(), fingerprint="1")
 """
+#: Attributes of the module, and what the entry of each is called.
+ATTRIBUTES = {"ENTRY": "early", "policy": "policy", "Still": "Still", "build": "built"}
 UNKNOWN = [
     ("no-such-thing", "coordinated-piecewise"),
     ("no_such_package:ENTRY", "no module 'no_such_package'"),
@@ -83,9 +86,8 @@ def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy():
 
 
 def test_law_and_folder_of_ones_own_are_entries(tmp_path, monkeypatch):
-    path = tmp_path / "mine.toml"
-    path.write_text("k_min = 1.0\nk_nominal = 0.8\nk_max = 0.6\ntau_s = 0.5\n")
-    (entry,) = load_entries(path)
+    law_file = write(tmp_path / "mine.toml", "k_min = 1.0\nk_nominal = 0.8\nk_max = 0.6\ntau_s = 0.5\n")
+    (entry,) = load_entries(law_file)
     law = TrackingLaw(name="mine", k_min=1.0, k_nominal=0.8, k_max=0.6, damping_time_constant_s=0.5)
     assert (entry.name, entry.law) == ("mine", law)
     shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "ppo-k-3")
@@ -95,9 +97,7 @@ def test_law_and_folder_of_ones_own_are_entries(tmp_path, monkeypatch):
         load_entries("ppo_k3")
 
 
-@pytest.mark.parametrize(
-    ("attribute", "name"), [("ENTRY", "early"), ("policy", "policy"), ("Still", "Still"), ("build", "built")]
-)
+@pytest.mark.parametrize(("attribute", "name"), ATTRIBUTES.items())
 def test_attribute_may_be_entry_policy_or_callable(package, attribute, name):
     (entry,) = load_entries(f"{package}.early:{attribute}")
     assert (entry.name, entry.kind) == (name, "learned")
@@ -158,8 +158,8 @@ def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path):
     shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "mine")
     (own,) = load_entries(tmp_path / "mine")
     assert (own.strategy, own.environment) == (REFERENCE_LAW, V0.env_id)
-    text = (tmp_path / "mine" / "entry.toml").read_text().replace('environment = "GFMWTG-14bus-v0"\n', "")
-    (tmp_path / "mine" / "entry.toml").write_text(f'{text}strategy = "deloaded-5"\n')
+    file = tmp_path / "mine" / "entry.toml"
+    write(file, file.read_text().replace('environment = "GFMWTG-14bus-v0"\n', 'strategy = "deloaded-5"\n'))
     (entry,) = load_entries(tmp_path / "mine")
     assert entry.law == get_law("deloaded-5") and entry.environment == V1.env_id
 

@@ -18,6 +18,7 @@ from wtg_gym.tasks import V0, V1
 
 #: J0 of seven scenarios of three strata.
 OFFSETS = np.array([40.0, 300.0, 3000.0, 40.0, 300.0, 3000.0, 40.0])
+COSTS = st.floats(0.0, 1000.0)
 N = 60
 GROUPS: Groups = {name: np.arange(i, 3 * N, 3) for i, name in enumerate(("ample", "tight", "short"))}
 #: Entries whose true score is 100: training seeds, and the parts of the variance that the scenarios (beside the laws),
@@ -118,10 +119,7 @@ def test_intervals_of_differences_agree_with_the_bootstrap():
         assert (own.low, own.high) == pytest.approx((base.low, base.high), abs=0.15 * width)
 
 
-@given(
-    arrays(np.float64, (3, 2, 7), elements=st.floats(0.0, 1000.0)),
-    arrays(np.float64, (3, 7), elements=st.floats(0.0, 1000.0)),
-)
+@given(arrays(np.float64, (3, 2, 7), elements=COSTS), arrays(np.float64, (3, 7), elements=COSTS))
 def test_parts_of_terms_add_up_to_the_gains(terms, reference_terms):
     costs, reference = terms.sum(axis=0), reference_terms.sum(axis=0)
     parts = score.gains_by_term(costs, reference, terms, reference_terms, OFFSETS)
@@ -163,10 +161,6 @@ def variates(x: np.ndarray, mean: Sequence[float], n: int = 10**12) -> ControlVa
     return ControlVariates(x, {name: KnownMeans(n, list(mean), covariance) for name in GROUPS})
 
 
-def nearly(value: float, abs: float = 1e-9) -> Interval:
-    return pytest.approx(Interval(value, value, value).__dict__, abs=abs)
-
-
 def laws(rng: np.random.Generator, n: int = 3 * N, n_laws: int = 2) -> np.ndarray:
     """Gains of laws with mean 0: skewed, with heavy tails, and much alike."""
     common, own = rng.standard_t(5, size=(2, n, n_laws))
@@ -196,8 +190,8 @@ def test_hundred_is_exactly_100_and_a_variate_is_its_known_mean():
     x = laws(np.random.default_rng(2))
     adjusted = Adjusted(0.4, GROUPS, variates(x, [0.1, -0.2]))
     assert adjusted.score(np.zeros((1, 3 * N))) == Interval(100.0, 100.0, 100.0)
-    assert adjusted.score(x[:, :1].T).__dict__ == nearly(125.0, abs=1e-3)
-    assert adjusted.score(np.repeat(x[:, 1:].T, 2, axis=0)).__dict__ == nearly(50.0, abs=1e-3)
+    for own, expected in ((x[:, :1].T, 125.0), (np.repeat(x[:, 1:].T, 2, axis=0), 50.0)):
+        assert list(vars(adjusted.score(own)).values()) == pytest.approx([expected] * 3, abs=1e-3)
     assert adjusted.score_difference(x[:, :1].T, x[:, :1].T) == Interval(0.0, 0.0, 0.0)
     # The known mean is from as many scenarios as are played: its own error is that of their mean.
     rough = Adjusted(0.4, GROUPS, variates(x, [0.1, -0.2], n=N)).score(x[:, :1].T)
@@ -241,10 +235,8 @@ def test_intervals_cover_the_truth_in_95_of_100_cases(world, adjust):
     covered = []
     for _ in range(300):
         x, means = laws(rng), rng.multivariate_normal([0.0, 0.0], covariance / n_known, 3)
-        known = {
-            name: KnownMeans(n_known, mean.tolist(), covariance.tolist())
-            for name, mean in zip(GROUPS, means, strict=True)
-        }
+        own = [KnownMeans(n_known, mean.tolist(), covariance.tolist()) for mean in means]
+        known = dict(zip(GROUPS, own, strict=True))
         scoring = Adjusted(0.4, GROUPS, ControlVariates(x, known) if adjust else None)
         one, other = entry(x), entry(x)
         for interval, truth in ((scoring.score(one), 100.0), (scoring.score_difference(one, other), 0.0)):

@@ -163,9 +163,7 @@ def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path):
             OnnxPolicy(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ("inputs", "outputs", "text"), SIGNATURES, ids=["batch", "width", "memory", "state", "no action"]
-)
+@pytest.mark.parametrize(("inputs", "outputs", "text"), SIGNATURES)
 def test_wrong_signature_is_refused_when_loaded(inputs, outputs, text):
     with pytest.raises(PolicyError, match=text):
         OnnxPolicy(models.model([models.LINEAR], inputs, outputs).SerializeToString()).predict(np.zeros((1, models.N)))

@@ -1,6 +1,7 @@
 """Facts about evaluations that other processes play: the same bytes, whatever happens to a process."""
 
 import contextlib
+import functools
 import importlib.util
 import os
 import signal
@@ -19,7 +20,6 @@ ROOT = Path(__file__).resolve().parents[2]
 SHORT = {"seeds": (20_002, 20_000, 20_005, 20_001, 20_007), "duration_s": 2.0, "batch": 2}
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed with signals")
-
 
 pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here")
 
@@ -62,16 +62,9 @@ def test_workers_give_the_same_bytes_and_failures(backend, tmp_path):
         # A cluster plays the batches of a lost worker again.
         entries.append(Entry(name="mortal", policy=Mortal(tmp_path / "killed")))
     done: list[int] = []
-    there = evaluate(
-        entries,
-        "standard",
-        "test",
-        workers=Workers(backend, jobs=2),
-        on_progress=lambda name, count, total: done.append(count),
-        keep_going=True,
-        **SHORT,
-    )
-    here = evaluate(entries, "standard", "test", keep_going=True, **SHORT)
+    elsewhere = {"workers": Workers(backend, jobs=2), "on_progress": lambda _, count, __: done.append(count)}
+    play = functools.partial(evaluate, entries, "standard", "test", keep_going=True, **SHORT)
+    there, here = play(**elsewhere), play()
     assert there == here and (tmp_path / "killed").exists() == (backend != "loky")
     for one, other in zip(there.write(tmp_path / "a"), here.write(tmp_path / "b"), strict=True):
         assert one.read_bytes() == other.read_bytes()
