@@ -90,9 +90,7 @@ def test_many_envs_and_copies_from_another_process_have_the_bits_of_one(battery)
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("options", "limit"), [({"droop": 5e-4}, 1.0), ({"energy_time_s": 3.0}, 0.0)])
-def test_its_power_rests_at_its_rating_and_at_nothing_when_it_is_empty_or_full_at_any_step(
-    battery, options, limit, sign
-):
+def test_its_power_rests_at_its_rating_and_at_nothing_when_empty_or_full_at_any_step(battery, options, limit, sign):
     usual = settings(battery, **options)
     fine = dataclasses.replace(usual, plant={**usual.plant, "simulation_dt": 0.005})
     step = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0 * sign), duration_s=20.0)

@@ -72,6 +72,10 @@ def function(equation: Callable[..., Any], *writes: str, **more: Any) -> Callabl
     return lambda: system(GUESTS, *writes, **more)(equation)
 
 
+def kind(**parts: Any) -> Callable[[], Kind]:
+    return lambda: Kind(name="x", **parts)
+
+
 def float_for_record(state: float) -> float:
     return state
 
@@ -115,17 +119,12 @@ def unknown_annotation() -> System:
 
 
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
-    "argument": (
-        named("host_haet"),
-        "argument 'host_haet' of system '<lambda>' is no part or constant of guests, nor of what they see: "
-        "hosts; did you mean 'host_heat'",
-    ),
+    "argument": (named("host_haet"), "'host_haet' of .* guests, nor of what they see: hosts; did you mean 'host_heat'"),
     "argument without its label": (named("far_rating", "ratting"), "'ratting' .* did you mean 'rating'"),
     "written name": (named("state", writes=("copi",)), "writes 'copi', which is no part .* did you mean 'copy'"),
     "own unit and seen unit": (
         named("heat"),
-        "argument 'heat' of system '<lambda>' can mean 'own_heat' (rows of guests) and 'host_heat' (rows of hosts): "
-        "use one of these full names",
+        "argument 'heat' .* can mean 'own_heat' (rows of guests) and 'host_heat' (rows of hosts): use one of these",
     ),
     "numbers of two records": (named("im"), "'own_state_im' (rows of guests) and 'own_other_im' (rows of guests)"),
     "part and scalar": (named("first"), "can mean 'first' (scalars of guests) and 'own_first' (rows of guests)"),
@@ -143,21 +142,17 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "condition": (
         named("state", when="awoke"),
-        "when='awoke' of system '<lambda>' is no condition of guests or of what they see: awake, heated; did you mean "
-        "'awake'",
+        "when='awoke' .* is no condition of guests or of what they see: awake, heated; did you mean 'awake'",
     ),
-    "state": (lambda: Kind(name="x", rows={"charge": float}, states=("charg",)), "part 'charg' .* mean 'charge'"),
-    "two parts of a name": (lambda: Kind(name="x", rows={"a": float}, constants={"a": float}), "two parts .* 'a'"),
-    "two states of a name": (lambda: Kind(name="x", rows={"a": float}, states=("a", "a")), "a state twice: a, a"),
+    "state": (kind(rows={"charge": float}, states=("charg",)), "part 'charg' .* mean 'charge'"),
+    "two parts of a name": (kind(rows={"a": float}, constants={"a": float}), "two parts .* 'a'"),
+    "two states of a name": (kind(rows={"a": float}, states=("a", "a")), "a state twice: a, a"),
     "part of the integration": (
-        lambda: Kind(name="x", rows={"a": float}, states=("a",), scratch={"a_base": Pair}),
+        kind(rows={"a": float}, states=("a",), scratch={"a_base": Pair}),
         "two parts with the name 'a_base'",
     ),
-    "part and number": (
-        lambda: Kind(name="x", rows={"a_re": float, "a": Pair}),
-        "a part, and a number within another one, with the name 'a_re'",
-    ),
-    "label": (lambda: Kind(name="x", sees={"own": HOSTS}), "the label 'own' is that of the kind itself"),
+    "part and number": (kind(rows={"a_re": float, "a": Pair}), "a part, and a number within another one, .* 'a_re'"),
+    "label": (kind(sees={"own": HOSTS}), "the label 'own' is that of the kind itself"),
     "part written twice": (named("size", writes=("copy", "own_copy")), "writes a number twice: copy, own_copy"),
     "part and number written": (named("size", writes=("copy", "own_copy_re")), "writes a number twice"),
     "flag": (lambda: When(HOSTS, "hot", ()), "'hot' is no part or constant of hosts, nor of what they see: nothing"),
@@ -254,10 +249,6 @@ SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float}
 ROUTINE, CODE = Routine(PROGRAM), link((PROGRAM,), Layout({SUMS: 1}, {}))
 
 
-def choice(a: float, b: float) -> float:
-    return select((a > b) | (b >= 2.0), a * a, b) + select((a < b) & (a <= 9.0), b, 0.0)
-
-
 FUNCTIONS = {
     "sum": lambda a, b: a + 2.0 * b - 3.0 + (1.0 - a),
     "product": lambda a, b: a * b * 0.5,
@@ -268,7 +259,7 @@ FUNCTIONS = {
     "root": lambda a, b: math.sqrt(a * a + b * b),
     "waves": lambda a, b: sine_cosine(a)[0] * sine_cosine(b)[1],
     "exponential": lambda a, b: exponential(-a * b) + exponential(b - 50.0),
-    "choice": choice,
+    "choice": lambda a, b: select((a > b) | (b >= 2.0), a * a, b) + select((a < b) & (a <= 9.0), b, 0.0),
     "multiply_add": lambda a, b: fma(a, b, a) + fma(0.0, b, a),
     "steps": lambda a, b: math.floor(a) * b + math.ceil(b) * a,
     # Of the branch not taken nothing may come back, not even 0/0 or the slope of a root at zero.
