@@ -9,6 +9,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents.run import Run, RunSettings, folders
 from agents.train import main, train
+from tests.changes import write
 from tests.interruption import interrupted
 from wtg_gym.envs import GFMWTGVectorEnv
 
@@ -18,21 +19,18 @@ V0 = ("--suite", "standard")
 _ALL = {"policy": "MlpPolicy", "n_timesteps": 768, "n_envs": 16, "normalize": True}
 _PPO = {**_ALL, "n_steps": 8, "batch_size": 64, "n_epochs": 1, "use_sde": True, "sde_sample_freq": 3}
 _SAC = {**_ALL, "learning_starts": 64, "buffer_size": 2000, "batch_size": 32, "n_steps": 3, "use_sde": True}
-_LSTM = {"net_arch": [8], "lstm_hidden_size": 4, "n_lstm_layers": 2}
+_LSTM = {"policy_kwargs": {"net_arch": [8], "lstm_hidden_size": 4, "n_lstm_layers": 2}, "policy": "MlpLstmPolicy"}
 _SMALL = {"policy_kwargs": {"net_arch": [8]}}
 CONFIGS = {
     "ppo": {**_PPO, **_SMALL},
     # Its small network learns too little with another rate to differ from the law itself, which the gate refuses.
-    "recurrent_ppo": {**_PPO, "policy": "MlpLstmPolicy", "learning_rate": 0.02, "policy_kwargs": _LSTM}
-    | {"use_sde": False},
+    "recurrent_ppo": {**_PPO, **_LSTM, "learning_rate": 0.02, "use_sde": False},
     "sac": {**_SAC, **_SMALL, "train_freq": 4, "gradient_steps": 8},
 }
 
 
 def config_file(folder: Path, algo: str, **changes) -> str:
-    path = folder / f"{algo}.yml"
-    path.write_text(yaml.safe_dump({ENV_ID: {**CONFIGS[algo], **changes}}))
-    return str(path)
+    return str(write(folder / f"{algo}.yml", yaml.safe_dump({ENV_ID: {**CONFIGS[algo], **changes}})))
 
 
 def options(folder: Path, algo: str) -> list[str]:
@@ -52,11 +50,9 @@ def trained(folder: Path, algo: str) -> Path:
 def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
     """Begin a run like another one, and interrupt it once it has a checkpoint of a step."""
 
-    def is_there(*_, **__) -> bool:
-        return (folder / "checkpoints" / f"{timesteps:012d}").exists()
-
+    there = folder / "checkpoints" / f"{timesteps:012d}"
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Run, "take_stock", interrupted(Run.take_stock, when=is_there))
+        patch.setattr(Run, "take_stock", interrupted(Run.take_stock, when=lambda *_, **__: there.exists()))
         train(Run.new(folder, Run.read(like).settings))
     assert [int(path.name) for path in folders(folder / "checkpoints")] == [timesteps]
     return folder

@@ -1,5 +1,6 @@
 """Facts about learners: what gradients and evolution lower, and from where; all repeat, and refuse wrong options."""
 
+import functools
 import math
 from collections import Counter
 from pathlib import Path
@@ -22,20 +23,20 @@ from wtg_gym.policies.torch_export import TorchPolicy, export_onnx
 from wtg_gym.tasks.episode import ACTION_MODES
 
 V1 = {"version": "v1"}
+LIMITS = [(V1, "frequency_pu", 0.95), ({**V1, "on_failure": "terminate"}, "rotor_1_speed_pu", 0.5)]
 #: How far an episode has failed at a limit.
 SHARE = 1.0 / (1.0 + math.exp(-1.0))
 POLICIES = Path(__file__).parents[2] / "agents" / "policies"
+FREE = {"suite": "standard-v1", "strategy": "coordinated-free"}
+EVOLUTION = functools.partial(RunSettings, algo="evolution", hyperparameters={}, timesteps=1, n_envs=1, **FREE)
 SHIPPED = ["--start", str(POLICIES / "dagger-v1-0")]
 ACTS = ["--action-mode", "k", "--strategy", "coordinated-free"]
+SMALL = "--suite standard --n-envs 2 --validation-episodes 2"
 #: Runs with a validation before, between and after their rounds, and in which function they are interrupted.
 RUNS = {
-    gradient: (
-        "--suite standard --timesteps 2400 --interval 1200 --n-envs 2 --validation-episodes 2 --hidden 8 --lstm 4",
-        *(gradient, "descend"),
-    ),
+    gradient: (f"{SMALL} --timesteps 2400 --interval 1200 --hidden 8 --lstm 4", gradient, "descend"),
     evolution: (
-        "--suite standard --timesteps 19200 --interval 9600 --n-envs 2 --validation-episodes 2 --hidden 3 "
-        "--population 4 --spread 0.2",
+        f"{SMALL} --timesteps 19200 --interval 9600 --hidden 3 --population 4 --spread 0.2",
         *(evolution.EvolutionLearner, "tell"),
     ),
     # Its plans are made by then, and numbers drawn.
@@ -52,11 +53,7 @@ WRONG = [
     (planner, ["--episodes", "3", "--horizon-s", "5"], "horizon_s = 5 s must reach to the next plan, in 10 s"),
     (evolution, ["--population", "3"], "population must be a whole number in 4 … 10000, got 3"),
     (evolution, [*SHIPPED, *ACTS[:2]], "has strategy = 'coordinated-free', not 'coordinated-piecewise'"),
-    (
-        evolution,
-        ["--start", str(POLICIES / "ppo-v1-0"), *ACTS[2:]],
-        "has per_group = false: its policy sees all",
-    ),
+    (evolution, ["--start", str(POLICIES / "ppo-v1-0"), *ACTS[2:]], "has per_group = false: its policy sees all"),
     (evolution, ["--start", "no-such-folder", *ACTS], "no-such-folder"),
     (evolution, [*SHIPPED, "--hidden", "8", *ACTS], "leave out --hidden and --lstm"),
     (evolution, ["--observation-mode", "privileged"], "leave out --observation-mode"),
@@ -87,10 +84,7 @@ def watched(settings) -> tuple[Failures, torch.Tensor, torch.Tensor, list[str]]:
     return Failures(tape), alive, torch.full((1, len(names)), 1.1, dtype=torch.float64), names
 
 
-@pytest.mark.parametrize(
-    ("settings", "name", "limit"),
-    [(V1, "frequency_pu", 0.95), ({**V1, "on_failure": "terminate"}, "rotor_1_speed_pu", 0.5)],
-)
+@pytest.mark.parametrize(("settings", "name", "limit"), LIMITS)
 def test_a_failure_comes_gradually_of_a_slow_rotor_where_rotors_end_the_episode(settings, name, limit):
     failures, alive, outputs, names = watched(settings)
     # A failure of another kind, or load that is not served, keeps its charge.
@@ -113,10 +107,8 @@ def test_what_trips_or_is_shed_changes_the_gradient_alone():
 
     # A slow rotor: what is capped costs its cap for a minute. The stages shed load, which costs 300/s as a whole.
     at_stages = sum(stage.share * slope((0.98 - stage.frequency_pu) / 0.001) for stage in stages)
-    for name, limit, expected in (
-        ("rotor_2_speed_pu", 0.5, -15.0 * 60.0 * slope(0.0) / 0.02),
-        ("frequency_pu", 0.98, -300.0 * 60.0 * at_stages / 0.001),
-    ):
+    of_rotor, of_load = -15.0 * 60.0 * slope(0.0) / 0.02, -300.0 * 60.0 * at_stages / 0.001
+    for name, limit, expected in (("rotor_2_speed_pu", 0.5, of_rotor), ("frequency_pu", 0.98, of_load)):
         near = outputs.clone()
         near[0, names.index(name)] = limit
         near.requires_grad_()
@@ -130,13 +122,10 @@ def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale():
     costs = torch.tensor([30.0, 400.0, 2000.0], dtype=torch.float64)
     suite, v0 = get_suite("standard-v1"), get_suite("standard")
     scenarios = suite.scenarios([1_000_002, 1_000_000, 1_000_001], duration_s=1.0)
-    offsets, scale = (40.0, 200.0, 1000.0), suite.task.scale or 1.0
+    offsets, scale = np.array([40.0, 200.0, 1000.0]), suite.task.scale or 1.0
     for weight in (0.0, 0.5):
-        parts = [
-            (math.log(cost + offset) + weight * cost / offset) / scale
-            for cost, offset in zip(costs.tolist(), offsets, strict=True)
-        ]
-        assert loss_of(costs, suite, scenarios, weight).item() == pytest.approx(sum(parts) / 3.0)
+        parts = (np.log(costs.numpy() + offsets) + weight * costs.numpy() / offsets) / scale
+        assert loss_of(costs, suite, scenarios, weight).item() == pytest.approx(parts.mean())
     # v0 has one offset, and no scale.
     own = v0.scenarios([1_000_000], duration_s=1.0)
     assert loss_of(costs[:1], v0, own).item() == pytest.approx(math.log(35.0))
@@ -155,8 +144,7 @@ def test_a_batch_of_v1_holds_as_many_of_each_stratum():
 @pytest.mark.parametrize("name", ["dagger-v1-0", "gradient-v1-0"])
 def test_search_begins_at_the_policy_of_the_file(name):
     (entry,) = load_entries(POLICIES / name)
-    modes = {"action_mode": entry.action_mode, "strategy": "coordinated-free"}
-    settings = RunSettings(algo="evolution", hyperparameters={}, timesteps=1, n_envs=1, suite="standard-v1", **modes)
+    settings = EVOLUTION(action_mode=entry.action_mode)
     policy = TorchPolicy(evolution.read_policy(POLICIES / name, settings))
     n = 6 + sum(ACTION_MODES[entry.action_mode])
     assert actions_of(policy, n) == pytest.approx(actions_of(entry.policy, n), abs=1e-6)
@@ -168,25 +156,21 @@ class Other(torch.nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.per_group = True
-        self.layers = torch.nn.Sequential(
-            torch.nn.Linear(7, 4), torch.nn.ReLU(), torch.nn.Linear(4, 1), torch.nn.Tanh()
-        )
+        layers = torch.nn.Linear(7, 4), torch.nn.ReLU(), torch.nn.Linear(4, 1), torch.nn.Tanh()
+        self.layers = torch.nn.Sequential(*layers)
 
     def forward(self, observations):
         return self.layers(observations)
 
 
 def test_network_with_other_actions_is_refused(tmp_path):
-    modes = {"action_mode": "k", "strategy": "coordinated-free"}
-    export_onnx(Other(), tmp_path, name="mine", per_group=True, **modes)
-    settings = RunSettings(algo="evolution", hyperparameters={}, timesteps=1, n_envs=1, suite="standard-v1", **modes)
+    export_onnx(Other(), tmp_path, name="mine", per_group=True, action_mode="k", strategy="coordinated-free")
     with pytest.raises(ValueError, match=r"holds no single network of .*: its actions are others"):
-        evolution.read_policy(tmp_path, settings)
+        evolution.read_policy(tmp_path, EVOLUTION(action_mode="k"))
 
 
 def test_joined_policies_begin_at_the_mean_of_theirs_before_the_tanh():
-    modes = {"action_mode": "k+tau", "strategy": "coordinated-free"}
-    settings = RunSettings(algo="evolution", hyperparameters={}, timesteps=1, n_envs=1, suite="standard-v1", **modes)
+    settings = EVOLUTION(action_mode="k+tau")
     names = ("dagger-v1-0", "gradient-v1-0")  # of k, of k and τ
     policies = [evolution.read_policy(POLICIES / name, settings) for name in names]
     of_k, of_both = (np.arctanh(actions_of(TorchPolicy(policy), 8)) for policy in policies)

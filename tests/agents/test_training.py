@@ -34,7 +34,26 @@ from wtg_gym.tasks.observation import OBSERVATION_MODES
 NEW = ("--output", "new")
 #: Names of names, nine of each: a billion values of a few hundred characters.
 ALIASES = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 11))
-SHORT = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
+BAD = [
+    ([], "--output FOLDER is needed"),
+    ([*NEW], "--algo is needed"),
+    (["--algo", "ppo", "--output", "."], "holds a run already"),
+    (["--algo", "ppo", *NEW, "--validation-episodes", "101"], "validation_episodes .* 1 … 100"),
+    (["--algo", "ppo", *NEW, "--config", "bad.yml"], "n_envs must be a whole number"),
+    (["--algo", "ppo", *NEW, "--config", "rate.yml"], "ppo refuses .* could not convert string to float"),
+    (["--algo", "ppo", *NEW, "--config", "key.yml"], "ppo refuses .* unexpected keyword argument 'frame_stack'"),
+    (["--algo", "ppo", *NEW, "--config", "no.yml"], "cannot read the hyperparameter file"),
+    (["--algo", "ppo", *NEW, "--suite", "paper"], "fixed list of cases"),
+    (["--resume", "no-such-run"], "cannot read the description of the run"),
+    (["--resume", "no-such-run", "--seed", "1", "--n-envs", "2"], "leave out --n-envs, --seed"),
+]
+BAD_FILES = [
+    (ALIASES, "values on one level"),
+    (f"{ENV_ID}: {{1: 2}}", "holds a key that is no text"),
+    ("Pendulum-v1: {}", "must have a section"),
+    ("a: [", "is not yml"),
+    (f"{ENV_ID}: {{policy_kwargs: !!python/object/apply:os.abort []}}", "is not yml"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +67,6 @@ def copied(run_of, tmp_path):
     return Path(shutil.copytree(run_of("ppo"), tmp_path / "run"))
 
 
-def same(a, b) -> bool:
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    if isinstance(a, (list, tuple)):
-        return len(a) == len(b) and all(map(same, a, b))
-    return torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
-
-
 @pytest.mark.parametrize("algo", TRAINED)
 def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(algo, run_of, tmp_path):
     undisturbed = Run.read(run_of(algo))
@@ -65,7 +76,7 @@ def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(algo, ru
     assert restored.num_timesteps == 256
     assert run.validate(SB3Learner(restored), 256)["score"] == run.curve[-2]["score"]
     starts = [torch.as_tensor(model.get_env().reset()) for model in (first, restored)]
-    assert not same(*starts)
+    assert not torch.equal(*starts)
     if algo == "sac":
         assert restored.replay_buffer.size() == 256 // 16
     assert main(["--resume", str(stopped)]) == 0
@@ -115,9 +126,9 @@ def test_a_best_policy_of_before_the_training_is_said(copied, capsys):
 def test_seed_decides_the_first_weights_and_the_scenarios(run_of):
     settings = Run.read(run_of("ppo")).settings
     models = [new_model(dataclasses.replace(settings, seed=seed)) for seed in (0, 0, 1)]
-    starts = [(model.get_parameters()["policy"], torch.as_tensor(model.get_env().reset())) for model in models]
-    assert same(starts[0], starts[1])
-    assert not same(starts[0][0], starts[2][0]) and not same(starts[0][1], starts[2][1])
+    weights = [torch.nn.utils.parameters_to_vector(model.policy.parameters()) for model in models]
+    for first, same, other in (weights, [torch.as_tensor(model.get_env().reset()) for model in models]):
+        assert torch.equal(first, same) and not torch.equal(first, other)
     for model in models:
         model.get_env().close()
 
@@ -214,22 +225,7 @@ def test_what_cannot_go_on_is_named(copied, capsys):
     assert "run.json: it holds what cannot be used" in error_of_resume()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ([], "--output FOLDER is needed"),
-        ([*NEW], "--algo is needed"),
-        (["--algo", "ppo", "--output", "."], "holds a run already"),
-        (["--algo", "ppo", *NEW, "--validation-episodes", "101"], "validation_episodes .* 1 … 100"),
-        (["--algo", "ppo", *NEW, "--config", "bad.yml"], "n_envs must be a whole number"),
-        (["--algo", "ppo", *NEW, "--config", "rate.yml"], "ppo refuses .* could not convert string to float"),
-        (["--algo", "ppo", *NEW, "--config", "key.yml"], "ppo refuses .* unexpected keyword argument 'frame_stack'"),
-        (["--algo", "ppo", *NEW, "--config", "no.yml"], "cannot read the hyperparameter file"),
-        (["--algo", "ppo", *NEW, "--suite", "paper"], "fixed list of cases"),
-        (["--resume", "no-such-run"], "cannot read the description of the run"),
-        (["--resume", "no-such-run", "--seed", "1", "--n-envs", "2"], "leave out --n-envs, --seed"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "text"), BAD)
 def test_bad_options_are_refused_before_anything_runs(arguments, text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.json").touch()
@@ -255,21 +251,11 @@ def test_shipped_files_mean_what_rl_zoo_makes_of_them(name):
     assert raw["normalize"] is True and training.normalization_arguments(read) == {"gamma": raw["gamma"]}
 
 
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        (ALIASES, "values on one level"),
-        (f"{ENV_ID}: {{1: 2}}", "holds a key that is no text"),
-        ("Pendulum-v1: {}", "must have a section"),
-        ("a: [", "is not yml"),
-        (f"{ENV_ID}: {{policy_kwargs: !!python/object/apply:os.abort []}}", "is not yml"),
-    ],
-)
+@pytest.mark.parametrize(("content", "text"), BAD_FILES)
 def test_files_without_a_section_in_plain_yml_are_refused(content, text, tmp_path):
-    path = tmp_path / "a.yml"
-    path.write_text(content)
+    (tmp_path / "a.yml").write_text(content)
     with pytest.raises(ValueError, match=text):
-        read_config(path, ENV_ID)
+        read_config(tmp_path / "a.yml", ENV_ID)
 
 
 def test_every_trained_policy_is_the_one_of_its_record():
@@ -287,9 +273,8 @@ def test_every_trained_policy_is_the_one_of_its_record():
 
 def test_the_page_has_the_table_and_the_curves_that_the_command_makes():
     assert shipped.table() in shipped.PAGE.read_text(encoding="utf-8")
-    assert len(shipped.curves().axes[0].lines) == sum(
-        "curve" in each for each in json.loads(shipped.RECORDS.read_text()).values()
-    )
+    records = json.loads(shipped.RECORDS.read_text(encoding="utf-8")).values()
+    assert len(shipped.curves().axes[0].lines) == sum("curve" in record for record in records)
 
 
 def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
@@ -304,9 +289,7 @@ def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
     run.write()
     monkeypatch.setattr(shipped, "PICTURE", tmp_path / "training")
     for name in ("RECORDS", "PAGE"):
-        copy = tmp_path / name
-        copy.write_bytes(getattr(shipped, name).read_bytes())
-        monkeypatch.setattr(shipped, name, copy)
+        monkeypatch.setattr(shipped, name, Path(shutil.copy(getattr(shipped, name), tmp_path / name)))
     assert shipped.main([str(tmp_path / "run")]) == 0
     record = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))["ppo-v1-2"]
     assert (record["steps"], record["validation_score"], record["wall_time_s"]) == (2_150_400, 102.5, 70)
