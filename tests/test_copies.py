@@ -8,31 +8,23 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from tests.envs.rollouts import MODES, actions_of, bits, calm, eventful, n_resets, single_steps, vector_steps
+from tests.envs.rollouts import MODES, actions_of, bits, calm, eventful, n_resets, single_steps, started, vector_steps
 from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, LoadStep, Plant, Scenario, evaluate, get_law, get_suite, load_entries
 from wtg_gym.envs import EnvSettings
 from wtg_gym.gradients import Tape
 from wtg_gym.sb3 import make_sb3_vec_env
 from wtg_gym.tasks.cost import COST_TERMS
 
-SHORT = {"version": "v0", "duration_s": 2.0}
+SHORT, V1_ID = {"version": "v0", "duration_s": 2.0}, "wtg_gym:GFMWTG-14bus-v1"
 #: For the four groups of version v1; v0 takes the first four columns.
 BEFORE, AFTER, OTHER = (actions_of(seed, n, 17, 8) for seed, n in ((20, 13), (21, 60), (22, 25)))
 DELAYED = {"version": "v1", "sensors": {"delay_s": (0.3, 0.9)}}
-SETTINGS = [
-    {"version": "v0", "suite": "gust"},
-    {**DELAYED, "suite": "faults", "observation_mode": "privileged"},
-]
+SETTINGS = [{"version": "v0", "suite": "gust"}, {**DELAYED, "suite": "faults", "observation_mode": "privileged"}]
 MANY_EVENTS = calm(events=tuple(LoadStep(time_s=0.1 * n, bus=3, power_mw=2.0) for n in range(1, 31))).to_dict()
 
 
 def copies(original):
     return [copy.deepcopy(original), pickle.loads(pickle.dumps(original))]
-
-
-def started(env, **options):
-    env.reset(**options)
-    return env
 
 
 def batch_steps(env):
@@ -57,10 +49,7 @@ def gradient(tape: Tape):
 STANDARD = get_suite("standard")
 SEED = STANDARD.seeds("validation").start
 KINDS = {
-    "gym.make": (
-        lambda: started(gym.make("wtg_gym:GFMWTG-14bus-v1", duration_s=10.0, action_mode="k"), seed=0),
-        steps_and_reset,
-    ),
+    "gym.make": (lambda: started(gym.make(V1_ID, duration_s=10.0, action_mode="k"), seed=0), steps_and_reset),
     "agents": (lambda: started(pytest.importorskip("wtg_gym.pettingzoo").parallel_env(**SHORT), seed=0), joint_steps),
     "Stable-Baselines3": (lambda: started(make_sb3_vec_env(3, seed=0, reward="score", **SHORT)), batch_steps),
     "entry": (lambda: load_entries("linear-feedback")[0], lambda entry: entry.to_dict()),

@@ -1,5 +1,7 @@
 """Facts about the environment for many agents."""
 
+import functools
+import itertools
 import warnings
 
 import numpy as np
@@ -12,14 +14,12 @@ from pettingzoo.utils import parallel_to_aec
 
 from tests.envs.rollouts import VERSIONS, actions_of, calm, eventful, sagging
 from wtg_gym import GFMWTGEnv, GroupTrip, Scenario
-from wtg_gym.pettingzoo import GFMWTGParallelEnv, parallel_env
+from wtg_gym.pettingzoo import parallel_env
 
 #: The first group stalls and is disconnected, the second goes on.
 HALF = {
-    "version": "v0",
     "scenario": Scenario(name="half", wind_speed=np.array([[8.0], [12.0]]), duration_s=60.0, events=sagging().events),
-    "strategy": ["mppt", "coordinated-piecewise"],
-    "on_failure": "trip",
+    **{"version": "v0", "strategy": ["mppt", "coordinated-piecewise"], "on_failure": "trip"},
 }
 #: Wind, load events and what takes groups away, by their version.
 CASES = {
@@ -59,9 +59,8 @@ def test_joint_run_is_that_of_the_single_environment_bit_for_bit(name):
         parts = dict(zip(env.possible_agents, joint.reshape(len(env.possible_agents), -1), strict=True))
         actions = {agent: parts[agent] for agent in env.agents}
         # A group that has left has no effect.
-        for group, agent in enumerate(env.possible_agents):
-            if agent not in actions:
-                joint.reshape(len(env.possible_agents), -1)[group] = 0.0
+        for agent in parts.keys() - actions.keys():
+            parts[agent][:] = 0.0
         observations, rewards, terminations, truncations, infos = env.step(actions)
         expected, value, terminated, truncated, info = local.step(joint)
         seen, *_ = privileged.step(joint)
@@ -85,19 +84,14 @@ def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_
             there.append(list(env.agents))
             env.step({agent: np.ones(2) for agent in env.agents})
         # An event at 0.5 s is seen after the step that begins then.
-        assert [agents for n, agents in enumerate(there) if n == 0 or agents != there[n - 1]] == [
-            ["wtg0", "wtg1", "wtg2", "wtg3"],
-            ["wtg1", "wtg2", "wtg3"],
-            ["wtg1", "wtg3"],
-        ]
+        changes = [agents for agents, _ in itertools.groupby(there)]
+        assert changes == [["wtg0", "wtg1", "wtg2", "wtg3"], ["wtg1", "wtg2", "wtg3"], ["wtg1", "wtg3"]]
         assert len(there) == 40
 
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_official_tests_of_pettingzoo_pass(version):
-    def make() -> GFMWTGParallelEnv:
-        return parallel_env(version=version, duration_s=10.0, on_failure="trip", strategy="mppt")
-
+    make = functools.partial(parallel_env, version=version, duration_s=10.0, on_failure="trip", strategy="mppt")
     with warnings.catch_warnings():
         # Every other warning of theirs is a failure here.
         warnings.simplefilter("error")

@@ -45,16 +45,13 @@ def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
     ends = []
     for actions in actions_of(1, 130, N).astype(np.float32):
         expected, got = reference.step(actions), env.step(actions)
-        for a, b in zip(expected[:3], got[:3], strict=True):
-            assert bits(a) == bits(b)
-        for env_index, done in enumerate(got[2]):
-            assert got[3][env_index]["TimeLimit.truncated"] == expected[3][env_index]["TimeLimit.truncated"]
+        assert bits(expected[:3]) == bits(got[:3])
+        for env_index, (done, info, other) in enumerate(zip(*got[2:], expected[3], strict=True)):
+            assert info["TimeLimit.truncated"] == other["TimeLimit.truncated"]
             if done:
-                assert bits(expected[3][env_index]) == bits(got[3][env_index])
+                assert bits(other) == bits(info)
                 assert bits(reference.reset_infos[env_index]) == bits(env.reset_infos[env_index])
-                ends.append(
-                    (env_index, got[3][env_index]["termination_reason"], got[3][env_index]["TimeLimit.truncated"])
-                )
+                ends.append((env_index, info["termination_reason"], info["TimeLimit.truncated"]))
     assert {(0, "stall", False), (0, "", True), (1, "", True), (2, "", True)} == set(ends)
     assert len(ends) == 7
 

@@ -53,6 +53,12 @@ def calm(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes) 
     return sc.Scenario(name="calm", wind_speed=np.full((n_wtg, 1), wind), duration_s=duration_s, **changes)
 
 
+def started(env, **reset):
+    """Return an environment, of whatever kind, after its reset."""
+    env.reset(**reset)
+    return env
+
+
 def bits(value):
     """Return a value in a form that compares equal only where every bit and every type is."""
     if isinstance(value, np.ndarray):
@@ -67,35 +73,25 @@ def as_step(observation: np.ndarray, reward: float, terminated: bool, truncated:
     return observation.tobytes(), float(reward).hex(), bool(terminated), bool(truncated), plain, final
 
 
-def single_steps(
-    env: GFMWTGEnv,
-    actions: np.ndarray,
-    mode: AutoresetMode,
-    seed: int | None = None,
-    start=None,
-):
+def single_steps(env: GFMWTGEnv, actions: np.ndarray, mode: AutoresetMode, seed: int | None = None, start=None):
     """Step a single environment over `actions` (n_steps, n_action), with the resets of an autoreset mode."""
-    steps = []
-    if seed is not None:
-        observation, info = env.reset(seed=seed, options=start)
-        steps.append(as_step(observation, 0.0, False, False, info))
+
+    def start_of(**reset):
+        observation, info = env.reset(**reset)
+        return observation, 0.0, False, False, info
+
+    steps = [] if seed is None else [as_step(*start_of(seed=seed, options=start))]
     over = False
     for action in actions:
-        final = None
-        if over:
-            observation, info = env.reset()
-            reward, terminated, truncated, over = 0.0, False, False, False
-        else:
-            observation, reward, terminated, truncated, info = env.step(action)
-            over = terminated or truncated
+        observation, reward, *ends, info = start_of() if over else env.step(action)
+        over, final = any(ends), None
         if over and mode == AutoresetMode.SAME_STEP:
             final, over = as_step(observation, 0.0, False, False, info), False
             observation, info = env.reset()
-        steps.append(as_step(observation, reward, terminated, truncated, info, final))
+        steps.append(as_step(observation, reward, *ends, info, final))
         if over and mode == AutoresetMode.DISABLED:
-            observation, info = env.reset()
+            steps.append(as_step(*start_of()))
             over = False
-            steps.append(as_step(observation, 0.0, False, False, info))
     return steps
 
 
@@ -124,10 +120,8 @@ def _env_step(env_index: int, observations: np.ndarray, rewards: np.ndarray, ter
     if "final_obs" in infos and infos["_final_obs"][env_index]:
         assert infos["_final_info"][env_index]
         final = as_step(infos["final_obs"][env_index], 0.0, False, False, env_info(infos["final_info"], env_index))
-    info = env_info(infos, env_index)
-    return as_step(
-        observations[env_index], rewards[env_index], terminated[env_index], truncated[env_index], info, final
-    )
+    values = (each[env_index] for each in (observations, rewards, terminated, truncated))
+    return as_step(*values, env_info(infos, env_index), final)
 
 
 def env_info(infos, env_index: int):

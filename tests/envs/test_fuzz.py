@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.envs.rollouts import ACTION_MODES
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.sensors import Sensors
@@ -18,10 +19,8 @@ from wtg_gym.scenarios import SUITES
 # The same examples on every machine, and no data base in the working tree.
 FUZZ = settings(derandomize=True, database=None, suppress_health_check=list(HealthCheck))
 
-WEIGHTS = st.none() | st.dictionaries(
-    st.sampled_from(["frequency", "rocof", "duty", "rotor", "overload", "effort"]),
-    st.sampled_from([0.0, 1e-3, 1.0, 1e6]),
-)
+TERMS = st.sampled_from(["frequency", "rocof", "duty", "rotor", "overload", "effort"])
+WEIGHTS = st.none() | st.dictionaries(TERMS, st.sampled_from([0.0, 1e-3, 1.0, 1e6]))
 STEPS = st.sampled_from([(0.1, 0.02), (0.02, 0.02), (0.1, 0.005), (0.5, 0.02), (1.0, 0.01), (3.0, 0.025)])
 ACTIONS = st.lists(st.sampled_from([-1e30, -1.0, -0.5, -1e-300, 0.0, 1e-9, 0.3, 1.0, 1e308]), min_size=1, max_size=12)
 ON_FAILURE, OBSERVATION_MODES = st.sampled_from(["terminate", "trip"]), st.sampled_from(["local", "privileged"])
@@ -41,18 +40,13 @@ def arguments(draw: Any) -> dict[str, Any]:
     exact = {"sensors": "exact"} if sensed and draw(st.booleans()) else {}
     names = st.sampled_from(sorted(LAWS))
     return {
+        **{"suite": suite, "control_dt": control_dt, "duration_s": 3.0, **exact},
         "strategy": draw(names | st.lists(names, min_size=n, max_size=n)),
-        "action_mode": draw(st.sampled_from(["k", "tau", "k+tau"])),
-        "observation_mode": draw(OBSERVATION_MODES),
-        "suite": suite,
+        **{"action_mode": draw(st.sampled_from(ACTION_MODES)), "observation_mode": draw(OBSERVATION_MODES)},
         "split": draw(st.sampled_from(["train", "validation", "test"])),
         "plant": {"machine_model": draw(st.sampled_from(["genrou", "classical"])), "simulation_dt": simulation_dt},
-        "on_failure": draw(ON_FAILURE),
-        "weights": draw(WEIGHTS),
-        "duration_s": 3.0,
-        "control_dt": control_dt,
+        **{"on_failure": draw(ON_FAILURE), "weights": draw(WEIGHTS)},
         "reward": draw(st.sampled_from([None, "score", "cost"])),
-        **exact,
     }
 
 
@@ -121,27 +115,23 @@ def scenarios(draw: Any) -> sc.Scenario:
     n_wtg = 2 if sensors is None else 4
     winds = st.lists(st.sampled_from([3.0, 5.0, 8.0, 11.4, 17.0, 25.0]), min_size=4, max_size=4)
     return sc.Scenario(
-        name="fuzz",
+        **{"name": "fuzz", "duration_s": 3.0, "sensors": sensors},
         wind_speed=np.array([draw(winds) for _ in range(n_wtg)]),
         wind_dt_s=draw(st.sampled_from([0.05, 0.1, 0.7, 5.0])),
-        duration_s=3.0,
         events=draw(event_lists()),
         load_noise_mw=np.array([0.0, *draw(st.lists(st.sampled_from([-100.0, 0.0, 3.0, 100.0]), max_size=30))]),
         load_noise_bus=draw(st.integers(1, 14)),
         load_level=draw(st.sampled_from([0.3, 0.8, 1.0, 1.5])),
         governor_droop=draw(st.sampled_from([None, 0.005, 0.05, 1.0])),
         inertia_scale=draw(st.sampled_from([0.05, 0.5, 1.0, 5.0])),
-        sensors=sensors,
     )
 
 
 @settings(FUZZ, max_examples=100)
 @given(scenarios(), st.sampled_from(sorted(LAWS)), ON_FAILURE, OBSERVATION_MODES, ACTIONS)
 def test_any_scenario_plays_to_a_physical_end(scenario, strategy, on_failure, observation_mode, actions):
-    version = "v0" if scenario.sensors is None else "v1"
-    env = GFMWTGEnv(
-        version=version, duration_s=3.0, strategy=strategy, on_failure=on_failure, observation_mode=observation_mode
-    )
+    drawn = {"strategy": strategy, "on_failure": on_failure, "observation_mode": observation_mode}
+    env = GFMWTGEnv(version="v0" if scenario.sensors is None else "v1", duration_s=3.0, **drawn)
     try:
         env.reset(options={"scenario": scenario})
     except ValueError as error:

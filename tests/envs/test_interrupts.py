@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.envs.rollouts import bits
+from tests.envs.rollouts import bits, started
 from tests.interruption import interrupt_before
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.physics.simulator import BlockThreads
@@ -26,8 +26,7 @@ SHORT = {"version": "v0", "duration_s": 1.0}
 
 
 def batch(n_threads: int, **arguments) -> GFMWTGVectorEnv:
-    env = GFMWTGVectorEnv(N * n_threads, n_threads=n_threads, **SHORT, **arguments)
-    env.reset(seed=0)
+    env = started(GFMWTGVectorEnv(N * n_threads, n_threads=n_threads, **SHORT, **arguments), seed=0)
     for k in range(4):
         reset_some(env, k)
         step(env, k)
@@ -35,21 +34,13 @@ def batch(n_threads: int, **arguments) -> GFMWTGVectorEnv:
 
 
 def monitored(n_threads: int, **more):
-    env = make_sb3_vec_env(N * n_threads if n_threads > 1 else 3, seed=0, n_threads=n_threads, **more, **SHORT)
-    env.reset()
-    return env
+    num_envs = N * n_threads if n_threads > 1 else 3
+    return started(make_sb3_vec_env(num_envs, seed=0, n_threads=n_threads, **more, **SHORT))
 
 
 def agents(_: int):
-    env = pytest.importorskip("wtg_gym.pettingzoo").parallel_env(strategy="mppt", on_failure="trip", **SHORT)
-    env.reset(seed=0)
-    return env
-
-
-def single(_: int, render_mode: str | None = None) -> GFMWTGEnv:
-    env = GFMWTGEnv(render_mode=render_mode, **SHORT)
-    env.reset(seed=0)
-    return env
+    module = pytest.importorskip("wtg_gym.pettingzoo")
+    return started(module.parallel_env(strategy="mppt", on_failure="trip", **SHORT), seed=0)
 
 
 def step(env, k: int):
@@ -60,10 +51,6 @@ def step_or_reset(env, k: int):
     if hasattr(env, "agents"):
         return env.step({agent: np.full(2, 0.1 * k % 1.0) for agent in env.agents}) if env.agents else env.reset()
     return env.reset() if np.any(env.batch.ended()) else env.step(np.full(4, 0.1 * k % 1.0))
-
-
-def reset(env: GFMWTGVectorEnv, k: int):
-    return env.reset(seed=k if k % 2 else None)
 
 
 def reset_some(env: GFMWTGVectorEnv, k: int):
@@ -82,20 +69,18 @@ CASES = {
     "next step": (batch, step),
     "same step": (lambda n: batch(n, autoreset_mode="SameStep"), step),
     "step limit": (lambda n: batch(n, max_episode_steps=2), step),
-    "reset": (batch, reset),
+    "reset": (batch, lambda env, k: env.reset(seed=k if k % 2 else None)),
     "reset of some": (batch, reset_some),
     "Stable-Baselines3": (monitored, step),
     "score": (lambda _: monitored(1, reward="score"), step),
-    "single": (single, step_or_reset),
-    "rendering": (lambda n: single(n, "rgb_array"), step_or_reset),
+    "single": (lambda _: started(GFMWTGEnv(**SHORT), seed=0), step_or_reset),
+    "rendering": (lambda _: started(GFMWTGEnv(render_mode="rgb_array", **SHORT), seed=0), step_or_reset),
     "PettingZoo": (agents, step_or_reset),
 }
 THREADED = ("next step", "same step", "step limit", "Stable-Baselines3")
 
 
-@pytest.mark.parametrize(
-    ("name", "n_threads"), [(name, n) for name in CASES for n in ((1, 2, 4) if name in THREADED else (1,))]
-)
+@pytest.mark.parametrize(("name", "n_threads"), [(n, 1) for n in CASES] + [(n, k) for n in THREADED for k in (2, 4)])
 def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypatch):
     # The monitor reports how long an episode took.
     monkeypatch.setattr(time, "time", lambda: 0.0)
@@ -120,8 +105,8 @@ def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypa
 
 def staggered(n_threads: int, num_envs: int, version: str = "v0") -> GFMWTGVectorEnv:
     """A batch of which one environment waits for its reset and the others run."""
-    env = GFMWTGVectorEnv(num_envs, version=version, n_threads=n_threads, duration_s=3.0, control_dt=0.1)
-    env.reset(seed=0)
+    settings = {"version": version, "n_threads": n_threads, "duration_s": 3.0, "control_dt": 0.1}
+    env = started(GFMWTGVectorEnv(num_envs, **settings), seed=0)
     actions = np.zeros(env.action_space.shape, dtype=np.float32)
     for _ in range(10):
         env.step(actions)
@@ -142,18 +127,15 @@ def played(n_threads: int, num_envs: int, version: str) -> list[list[np.ndarray]
 
 @pytest.mark.parametrize(("n_threads", "version"), [(9, "v0"), (3, "v1")])
 def test_resets_while_other_threads_step_change_no_bit(n_threads, version):
-    for one, many in zip(*(played(n, N * n_threads, version) for n in (1, n_threads)), strict=True):
-        for a, b in zip(one, many, strict=True):
-            assert (a == b).all()
+    one, many = (bits(played(n, N * n_threads, version)) for n in (1, n_threads))
+    assert one == many
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads():
     env = staggered(2, 2 * N)
-    process = multiprocessing.get_context("fork").Process(
-        target=env.step, args=(np.zeros((2 * N, 4), dtype=np.float32),)
-    )
+    process = multiprocessing.get_context("fork").Process(target=step, args=(env, 0))
     process.start()
     process.join(60.0)
     assert process.exitcode == 0
@@ -161,10 +143,8 @@ def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads():
 
 
 def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch):
-    env, alone = (GFMWTGVectorEnv(64, n_threads=1, version="v0") for _ in range(2))
+    env, alone = (started(GFMWTGVectorEnv(64, n_threads=1, version="v0"), seed=0) for _ in range(2))
     action = np.zeros(env.action_space.shape, dtype=np.float32)
-    for each in (env, alone):
-        each.reset(seed=0)
     snapshot = env.snapshot()
     inside, leave = threading.Event(), threading.Event()
     step = env.batch.step
@@ -186,8 +166,7 @@ def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch
         thread.join()
     alone.step(action)
     for _ in range(20):
-        for own, expected in zip(env.step(action)[:4], alone.step(action)[:4], strict=True):
-            assert np.array_equal(own, expected)
+        assert bits(env.step(action)[:4]) == bits(alone.step(action)[:4])
 
 
 #: Signals of every system with handlers of the test's own, and one that is left alone.
@@ -282,8 +261,7 @@ def test_threads_have_ended_before_what_a_handler_raises_arrives(handled):
 
 def test_closing_ends_every_thread_those_of_the_reference_at_100_too():
     before = set(threading.enumerate())
-    envs = GFMWTGVectorEnv(64, version="v1", n_threads=2, duration_s=30.0)
-    envs.reset(seed=0)
+    envs = started(GFMWTGVectorEnv(64, version="v1", n_threads=2, duration_s=30.0), seed=0)
     envs.step(np.zeros(envs.action_space.shape, dtype=np.float32))
     assert len(set(threading.enumerate()) - before) == 2
     envs.close()

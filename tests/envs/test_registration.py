@@ -35,11 +35,7 @@ ARGUMENTS = [
     {"suite": "gust", "split": "test", "duration_s": 2.0},
     {"version": "v0", "strategy": ["mppt", "coordinated-linear"], "observation_mode": "privileged"},
     {"version": "v0", "scenario": eventful().to_dict(), "weights": {"duty": 2.0, "cap": 20.0}},
-    {
-        "version": "v0",
-        "groups": [{"bus": 2, "n_turbines": 7.5}, {"bus": 3}],
-        "plant": {"machine_model": "classical"},
-    },
+    {"version": "v0", "groups": [{"bus": 2, "n_turbines": 7.5}, {"bus": 3}], "plant": {"machine_model": "classical"}},
     {"suite": "gusty-v1", "sensors": {"delay_s": [0.2, 0.4], "wind_sensor": False}},
     {"sensors": "exact", "plant": {"physics": "nrel-5mw"}, "control_dt": 0.2, "action_mode": "tau"},
     {"scenario": get_suite("faults-v1").scenario(20_000, duration_s=4.0).to_dict()},

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.envs.rollouts import N_WTG, VERSIONS, actions_of, calm, episode, eventful, rising, sagging
+from tests.envs.rollouts import N_WTG, VERSIONS, actions_of, calm, episode, eventful, rising, sagging, started
 from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, LoadStep, Plant, Scenario, get_suite, simulate
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.protection import Status
@@ -81,8 +81,7 @@ def test_an_episode_returns_its_score_less_a_hundred(name):
 
 def test_an_episode_that_is_cut_returns_what_it_is_worth_so_far():
     settings, scenario, actions, offset = CASES["tight"]
-    env = GFMWTGVectorEnv(2, max_episode_steps=7, scenario=scenario, **SHORT)
-    env.reset()
+    env = started(GFMWTGVectorEnv(2, max_episode_steps=7, scenario=scenario, **SHORT))
     total = np.zeros(2)
     for step in range(1, 8):
         _, rewards, _, truncated, _ = env.step(np.tile(actions[step - 1], (2, 1)))
@@ -97,18 +96,16 @@ def test_an_episode_that_is_cut_returns_what_it_is_worth_so_far():
 @pytest.mark.parametrize("num_envs", [1, 33])
 def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_return_alone(num_envs):
     settings = {**SHORT, "autoreset_mode": "SameStep", "n_threads": 2}
-    env = GFMWTGVectorEnv(num_envs, strategy="coordinated-tuned", **settings)
-    env.reset(seed=3)
+    env = started(GFMWTGVectorEnv(num_envs, strategy="coordinated-tuned", **settings), seed=3)
     assert not any(env.step(np.zeros((num_envs, 8)))[1].any() for _ in range(2 * N_STEPS))
     env.close()
-    env = GFMWTGVectorEnv(num_envs, **settings)
-    scenarios = [CASES[("tight", "of one's own")[env_index % 2]][1] for env_index in range(num_envs)]
-    env.reset(options={"scenarios": scenarios})
+    names = [("tight", "of one's own")[env_index % 2] for env_index in range(num_envs)]
+    options = {"scenarios": [CASES[name][1] for name in names]}
+    env = started(GFMWTGVectorEnv(num_envs, **settings), options=options)
     rewards = np.array([env.step(np.tile(action, (num_envs, 1)))[1] for action in RANDOM])
-    for env_index, scenario in enumerate(scenarios):
-        name = ("tight", "of one's own")[env_index % 2]
+    for env_index, name in enumerate(names):
         expected = played(name)[0]
-        assert rewards[: len(expected), env_index].tolist() == expected, (env_index, scenario.name)
+        assert rewards[: len(expected), env_index].tolist() == expected, (env_index, name)
     env.close()
 
 
@@ -143,13 +140,8 @@ def test_the_frequency_charged_is_that_of_the_worst_connected_unit_without_a_cap
 
 
 def test_the_cap_holds_for_the_other_terms_together():
-    played = [
-        [
-            terms
-            for *_, terms in cost_steps(*CUT, LoadStep(time_s=3.0, bus=9, power_mw=30.0), action=1.0, weights=weights)
-        ]
-        for weights in (None, {"cap": 1e6})
-    ]
+    events, capped = (*CUT, LoadStep(time_s=3.0, bus=9, power_mw=30.0)), (None, {"cap": 1e6})
+    played = [[terms for *_, terms in cost_steps(*events, action=1.0, weights=weights)] for weights in capped]
     n_capped = 0
     for held, free in zip(*played, strict=True):
         assert held["frequency"] == free["frequency"] and held["failure"] == free["failure"]
@@ -163,10 +155,8 @@ def test_the_cap_holds_for_the_other_terms_together():
 
 def test_a_group_that_its_protection_has_tripped_owes_its_power_at_the_frequency_of_the_grid():
     # Over-voltage disconnects the group at bus 8, then a load lowers the frequency.
-    capacitor, load = (
-        LoadStep(time_s=1.0, bus=8, power_mw=0.0, reactive_mvar=-120.0),
-        LoadStep(time_s=4.0, bus=3, power_mw=40.0),
-    )
+    capacitor = LoadStep(time_s=1.0, bus=8, power_mw=0.0, reactive_mvar=-120.0)
+    load = LoadStep(time_s=4.0, bus=3, power_mw=40.0)
     before = 0.0
     for env, _, _ in cost_steps(capacitor, load):
         simulator = env.batch.simulator
@@ -209,15 +199,8 @@ def test_an_episode_of_v1_ends_at_its_frequency_limit_and_costs_the_same_wheneve
 
 
 GONE = calm(duration_s=20.0, events=(LoadStep(time_s=1.025, bus=2, power_mw=600.0),))
-TORN = calm(
-    duration_s=20.0,
-    events=(
-        LineTrip(time_s=1.0, from_bus=1, to_bus=2),
-        LineTrip(time_s=1.2, from_bus=2, to_bus=5),
-        LineTrip(time_s=1.2, from_bus=2, to_bus=4),
-        LoadStep(time_s=2.0, bus=3, power_mw=75.0),
-    ),
-)
+TRIPS = [LineTrip(time_s=t, from_bus=a, to_bus=b) for t, a, b in ((1.0, 1, 2), (1.2, 2, 5), (1.2, 2, 4))]
+TORN = calm(duration_s=20.0, events=(*TRIPS, LoadStep(time_s=2.0, bus=3, power_mw=75.0)))
 SAGGED = calm(duration_s=20.0, events=(LoadStep(time_s=1.0, bus=2, power_mw=0.0, reactive_mvar=800.0),))
 FAILURES = [
     (GONE, "frequency limit", 0.0, 47.5),
@@ -252,10 +235,9 @@ def test_stall_costs_more_than_any_way_of_living_on(weights):
 
 
 @pytest.mark.parametrize("on_failure", ["terminate", "trip"])
-@pytest.mark.parametrize(("scenario", "reason", "least_hz", "most_hz"), FAILURES)
-def test_each_failure_ends_the_episode_under_its_own_name_and_a_tripped_group_does_not(
-    scenario, reason, least_hz, most_hz, on_failure
-):
+@pytest.mark.parametrize("failure", FAILURES, ids=lambda failure: failure[1])
+def test_each_failure_ends_the_episode_under_its_own_name_and_a_tripped_group_does_not(failure, on_failure):
+    scenario, reason, least_hz, most_hz = failure
     rewards, (_, terminated, truncated, info), env = play(scenario, -1.0, on_failure=on_failure)
     if reason == "over-speed" and on_failure == "trip":
         assert TripCause.OVER_SPEED in env.batch.simulator.wtg_values("trip_cause")

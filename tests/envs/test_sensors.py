@@ -12,7 +12,7 @@ from wtg_gym import GFMWTGEnv, GroupTrip, LoadStep, Scenario, get_suite
 from wtg_gym.physics import sensors as sensing
 from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.scenario import Event
-from wtg_gym.physics.sensors import Sensors
+from wtg_gym.physics.sensors import Measurement, Sensors
 from wtg_gym.systems.elementary import noise
 from wtg_gym.systems.programs import link, numbered
 from wtg_gym.systems.routines import Routine
@@ -25,14 +25,8 @@ MEASURED, EXACT = MeasuredObservation._fields, WtgObservation._fields
 ACTIONS = actions_of(1, 60, n_action=N_ACTION)[:, 0]
 STILL = np.zeros((60, N_ACTION))
 BAD = {
-    "frequency_filter_s": 0.3,
-    "frequency_noise_hz": 0.02,
-    "rocof_filter_s": 0.5,
-    "rocof_noise_hz_s": 0.1,
-    "rotor_speed_noise_pu": 0.01,
-    "power_noise_pu": 0.02,
-    "wind_noise": 0.1,
-    "wind_noise_correlation_s": 1.0,
+    **{"frequency_filter_s": 0.3, "frequency_noise_hz": 0.02, "rocof_filter_s": 0.5, "rocof_noise_hz_s": 0.1},
+    **{"rotor_speed_noise_pu": 0.01, "power_noise_pu": 0.02, "wind_noise": 0.1, "wind_noise_correlation_s": 1.0},
 }
 
 
@@ -80,11 +74,8 @@ def play(scenario: Scenario | None, actions: np.ndarray = ACTIONS, seed: int = 0
 
 
 def test_exact_sensors_show_what_the_privileged_mode_calls_exact():
-    for run in (
-        play(None, seed=4, sensors="exact"),
-        play(drawn(None)),
-        play(drawn(Sensors(seed=7, wind_bias=(0.0,) * N_WTG))),
-    ):
+    faultless = Sensors(seed=7, wind_bias=(0.0,) * N_WTG)
+    for run in (play(None, seed=4, sensors="exact"), play(drawn(None)), play(drawn(faultless))):
         assert len(run.rewards) == 60 and np.ptp(run.seen("exact")[:, :, 0]) > 0.05
         np.testing.assert_allclose(run.seen("wtg"), run.seen("exact"), rtol=1.2e-7, atol=1e-9)
 
@@ -99,10 +90,9 @@ def test_delayed_measurements_are_those_of_before_bit_for_bit(control_dt, delay_
     assert (now.seen("wtg") != late.seen("wtg")).any()
     # Nothing else is late: the exact values, the last actions, the cost.
     assert late.seen("exact").tobytes() == now.seen("exact").tobytes() and (late.rewards == now.rewards).all()
+    taken = np.clip(ACTIONS[: len(late.rewards)], -1.0, 1.0)
     for j in range(N_WTG):
-        assert late.column(f"wtg{j}.last_action_k")[1:].tolist() == pytest.approx(
-            np.clip(ACTIONS[: len(late.rewards), 2 * j], -1.0, 1.0).tolist()
-        )
+        assert late.column(f"wtg{j}.last_action_k")[1:].tolist() == pytest.approx(taken[:, 2 * j].tolist())
 
 
 def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_one():
@@ -111,8 +101,7 @@ def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_
     others = [name for name in MEASURED if name not in needs_wind]
     assert blind.seen("wtg", *others).tobytes() == seeing.seen("wtg", *others).tobytes()
     assert blind.seen("exact").tobytes() == seeing.seen("exact").tobytes()
-    for run in (blind, play(None, suite="no-wind-sensor")):
-        assert not run.seen("wtg", *needs_wind).any()
+    assert not any(run.seen("wtg", *needs_wind).any() for run in (blind, play(None, suite="no-wind-sensor")))
 
 
 @pytest.mark.parametrize(("time_s", "first_free"), [(2.0, 21), (2.025, 21)])
@@ -142,8 +131,7 @@ def test_privileged_observation_is_the_local_one_and_then_the_exact_values():
 
 N_CHANNELS = len(sensing.Noise._fields)
 N = 4 * N_CHANNELS
-MEASUREMENT = sensing.Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, power=0.7, wind=9.0)
-
+MEASUREMENT = Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, power=0.7, wind=9.0)
 
 DRAWS = Kind(name="draws", rows={"seed": float, "step": float, "channel": float}, scratch={"number": float})
 (PROGRAM,) = numbered(DRAW=(system(DRAWS, "number")(lambda seed, step, channel: noise(seed, step, channel)),))
@@ -198,8 +186,8 @@ def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their
 
 
 def advance(
-    sensors: sensing.Sensors, exact: list[sensing.Measurement], control_dt: float = 0.1
-) -> tuple[list[sensing.Measurement], np.ndarray]:
+    sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1
+) -> tuple[list[Measurement], np.ndarray]:
     given = sensing.sensor_input(sensors, control_dt, 50.0)
     seen, states, state = [], [], sensing.sensors_started(exact[0], sensing.Noise(0.0, 0.0, 0.0, 0.0, 0.0))
     for numbers, now in zip(noise_of(1, len(exact), N_CHANNELS, sensors.seed)[0].tolist(), exact, strict=True):
@@ -212,9 +200,8 @@ def advance(
 
 @pytest.mark.parametrize(("time_constant_s", "control_dt"), [(0.02, 0.05), (0.1, 0.1), (2.0, 0.5)])
 def test_filters_answer_a_step_as_a_first_order_lag_does(time_constant_s, control_dt):
-    sensors = sensing.Sensors(
-        seed=1, wind_bias=(0.0,), frequency_filter_s=time_constant_s, rocof_filter_s=2 * time_constant_s
-    )
+    filters = {"frequency_filter_s": time_constant_s, "rocof_filter_s": 2 * time_constant_s}
+    sensors = sensing.Sensors(seed=1, wind_bias=(0.0,), **filters)
     after = MEASUREMENT._replace(frequency=1.01, rocof=0.4)
     seen, _ = advance(sensors, [MEASUREMENT, *[after] * 30], control_dt)
     time_s = control_dt * np.arange(31)

@@ -21,6 +21,11 @@ KEYS = {*(f"cost_{name}" for name in COST_TERMS), "time_s", "frequency_hz", "roc
 N_STEPS, N_HELD = 40, 5
 #: The frequency passes its upper limit within a step.
 BLACKOUT = calm(n_wtg=4, duration_s=20.0, events=(LoadStep(time_s=7.1, bus=3, power_mw=-150.0),), inertia_scale=0.3)
+HELD = [
+    (get_suite("faults-v1").scenario(20_002, duration_s=20.0), {"observation_mode": "privileged"}),
+    (eventful(n_wtg=4, duration_s=6.5), {"strategy": "mppt", "action_mode": "tau"}),
+    (BLACKOUT, {}),
+]
 
 
 def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -28,14 +33,11 @@ def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.n
     env = GFMWTGEnv(version="v0", scenario=scenario.to_dict(), **settings)
     _, info = env.reset(seed=0)
     simulator = env.batch.simulator
-    frequency, speed, coefficient = [], [], []
-    over, zero = False, 0.0
+    rows, over, zero = [], False, 0.0
     while True:
-        frequency.append(info["frequency_hz"])
-        speed.append(simulator.wtg_values("rotor_speed")[0])
-        coefficient.append(simulator.wtg_values("coefficient")[0])
+        rows.append((info["frequency_hz"], *(simulator.wtg_values(name)[0] for name in ("rotor_speed", "coefficient"))))
         if over:
-            return np.array(frequency), np.array(speed), np.array(coefficient)
+            return tuple(map(np.array, zip(*rows, strict=True)))
         zero = -zero
         _, _, terminated, truncated, info = env.step(np.full(env.action_space.shape, zero))
         over = terminated or truncated
@@ -54,8 +56,7 @@ def test_zero_action_is_the_strategy_to_the_last_bit(scenario):
 
 def test_action_on_k_moves_power_up_and_on_tau_only_the_transient():
     for mode, value in (("k", 1.0), ("k", -1.0), ("tau", 1.0), ("tau", -1.0)):
-        env = GFMWTGEnv(scenario=calm().to_dict(), action_mode=mode, version="v0")
-        env.reset(seed=0)
+        env = rollouts.started(GFMWTGEnv(scenario=calm().to_dict(), action_mode=mode, version="v0"), seed=0)
         before = env.batch.simulator.wtg_values("power")[0]
         env.step(np.full(2, value))
         change = env.batch.simulator.wtg_values("power")[0] - before
@@ -91,9 +92,8 @@ def test_groups_at_a_shared_bus_in_the_same_wind_behave_alike():
 @pytest.mark.parametrize("name", ["frequency", "rocof", "duty", "rotor", "effort"])
 def test_every_weight_scales_its_own_term_alone(name):
     scenario, term, weight = eventful(7.0).to_dict(), f"cost_{name}", getattr(CostWeights(), name)
-    light, heavy = (
-        GFMWTGEnv(scenario=scenario, weights={name: factor * weight, "cap": 1e6}, version="v0") for factor in (1.0, 3.0)
-    )
+    weights = [{name: factor * weight, "cap": 1e6} for factor in (1.0, 3.0)]
+    light, heavy = (GFMWTGEnv(scenario=scenario, weights=own, version="v0") for own in weights)
     total = 0.0
     for (*_, info), (*_, other) in zip(episode(light, -1.0), episode(heavy, -1.0), strict=True):
         total += info[term]
@@ -128,20 +128,10 @@ def state(env: GFMWTGVectorEnv):
 
 
 @pytest.mark.parametrize("num_envs", [1, 3])
-@pytest.mark.parametrize(
-    ("scenario", "settings"),
-    [
-        (get_suite("faults-v1").scenario(20_002, duration_s=20.0), {"observation_mode": "privileged"}),
-        (eventful(n_wtg=4, duration_s=6.5), {"strategy": "mppt", "action_mode": "tau"}),
-        (BLACKOUT, {}),
-    ],
-    ids=["drawn", "every event", "blackout"],
-)
+@pytest.mark.parametrize(("scenario", "settings"), HELD, ids=["drawn", "every event", "blackout"])
 def test_a_step_is_five_intervals_with_its_action(scenario, settings, num_envs):
-    held, fine = (
-        GFMWTGVectorEnv(num_envs, duration_s=20.0, control_dt=dt, reward="cost", n_threads=1, **settings)
-        for dt in (None, 0.1)
-    )
+    given = {"duration_s": 20.0, "reward": "cost", "n_threads": 1, **settings}
+    held, fine = (GFMWTGVectorEnv(num_envs, control_dt=dt, **given) for dt in (None, 0.1))
     for env in (held, fine):
         env.reset(seed=0, options={"scenarios": [scenario] * num_envs})
     n, within = 0, 0

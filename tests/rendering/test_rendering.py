@@ -8,12 +8,11 @@ import pytest
 from gymnasium.error import DependencyNotInstalled
 from gymnasium.vector import AutoresetMode
 
-from tests.envs.rollouts import actions_of, calm, eventful, single_steps
+from tests.envs.rollouts import actions_of, calm, eventful, single_steps, started
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.rendering import FRAME_SIZE
 
 SHAPE = (FRAME_SIZE[1], FRAME_SIZE[0], 3)
-
 
 pytest.importorskip("matplotlib")
 
@@ -34,8 +33,7 @@ def playing(n_steps: int, **settings) -> GFMWTGEnv:
 
 @pytest.mark.parametrize("settings", [{"version": "v0", "groups": 3}, {"version": "v1"}], ids=str)
 def test_every_step_gives_a_new_frame_of_the_same_size(settings):
-    env = GFMWTGEnv(render_mode="rgb_array", duration_s=6.0, **settings)
-    env.reset(seed=4)
+    env = started(GFMWTGEnv(render_mode="rgb_array", duration_s=6.0, **settings), seed=4)
     frames = [env.render()]
     for _ in range(2):
         env.step(np.full(env.action_space.shape, 0.5))
@@ -87,11 +85,8 @@ def test_a_restored_or_copied_episode_shows_what_led_to_it():
 
 
 def test_a_batch_gives_the_frames_of_single_environments():
-    batch = GFMWTGVectorEnv(2, duration_s=5.0, render_mode="rgb_array")
-    singles = [GFMWTGEnv(duration_s=5.0, render_mode="rgb_array") for _ in range(2)]
-    batch.reset(seed=5)
-    for env_index, env in enumerate(singles):
-        env.reset(seed=5 + env_index)
+    batch = started(GFMWTGVectorEnv(2, duration_s=5.0, render_mode="rgb_array"), seed=5)
+    singles = [started(GFMWTGEnv(duration_s=5.0, render_mode="rgb_array"), seed=seed) for seed in (5, 6)]
     for step, actions in enumerate(actions_of(1, 14, 2, 8)):
         batch.step(actions)
         for env_index, env in enumerate(singles):
@@ -106,8 +101,8 @@ def test_the_window_shows_each_frame_by_itself_and_an_episode_goes_on_after_it_w
     def on_screen():
         return pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
 
-    env, twin = (GFMWTGEnv(duration_s=1.0, render_mode=mode, version="v0") for mode in ("human", "rgb_array"))
-    env.reset(seed=3), twin.reset(seed=3)
+    modes = ("human", "rgb_array")
+    env, twin = (started(GFMWTGEnv(duration_s=1.0, render_mode=mode, version="v0"), seed=3) for mode in modes)
     assert np.array_equal(on_screen(), twin.render())
     env.step(np.ones(4)), twin.step(np.ones(4))
     assert np.array_equal(on_screen(), twin.render()) and env.render() is None

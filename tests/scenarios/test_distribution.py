@@ -49,9 +49,8 @@ def check(scenario: sc.Scenario, source: ScenarioDistribution, duration_s: float
     assert scenario.load_noise_mw[0] == 0.0
     low, high = wind.DRAWN_WIND_RANGE
     assert low <= scenario.wind_speed.min() and scenario.wind_speed.max() <= high
-    point, loads, lines, islandings = (
-        source.find(kind) for kind in (draws.OperatingPoint, draws.LoadEvents, draws.LineTrips, draws.Islandings)
-    )
+    kinds = (draws.OperatingPoint, draws.LoadEvents, draws.LineTrips, draws.Islandings)
+    point, loads, lines, islandings = map(source.find, kinds)
     islanded = islandings is not None and islandings.line_sets
     for key in ("governor_droop", "inertia_scale", "load_level"):
         first, last = getattr(point, key)
@@ -145,10 +144,7 @@ def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_o
     for scenario in still.draw_many(seeds, len(turbines), turbines):
         assert np.ptp(scenario.wind_speed, axis=1).max() < 1e-9
         # Turbines of 5 MW; the law holds 5 % of what is available, or of the rated power, in reserve.
-        given_mw = sum(
-            4.75 * n * min(available_power_pu(wind), 1.0)
-            for n, wind in zip(turbines, scenario.wind_speed[:, 0], strict=True)
-        )
+        given_mw = 4.75 * np.dot(turbines, np.minimum(available_power_pu(scenario.wind_speed[:, 0]), 1.0))
         shares.append(given_mw / (scenario.load_level * sum(loads_mw(source).values())))
     assert low <= min(shares) and max(shares) <= high
     assert np.std(shares) > 0.2 * (high - low), "the range is used"
@@ -192,13 +188,11 @@ def test_turbines_that_pass_the_check_of_the_share_can_be_drawn_for(own, source)
     assert 1 <= checked <= 14
 
 
+TURBINES = st.lists(st.floats(0.2, 40.0), min_size=1, max_size=5)
+
+
 @settings(max_examples=60)
-@given(
-    st.sampled_from([*DISTRIBUTIONS, BUSY]),
-    st.integers(0, 2**63 - 1),
-    st.lists(st.floats(0.2, 40.0), min_size=1, max_size=5),
-    st.floats(1.0, 300.0),
-)
+@given(st.sampled_from([*DISTRIBUTIONS, BUSY]), st.integers(0, 2**63 - 1), TURBINES, st.floats(1.0, 300.0))
 def test_any_seed_group_count_and_duration_gives_a_valid_scenario(source, seed, n_turbines, duration_s):
     scenario = source.draw(seed, len(n_turbines), n_turbines, duration_s)
     check(scenario, source, duration_s)
@@ -250,8 +244,7 @@ def test_sensors_of_a_suite_are_those_of_its_distribution_and_can_be_replaced(su
     assert moved.sensors.delay_s == pytest.approx(scenario.sensors.delay_s + 0.3)
     exact = own.scenarios([seed], sensors=None)[0]
     assert exact.sensors is None and "sensors" not in exact.to_dict()
-    for other in (moved, exact):
-        assert {**other.to_dict(), "sensors": 0} == {**scenario.to_dict(), "sensors": 0}
+    assert all({**other.to_dict(), "sensors": 0} == {**scenario.to_dict(), "sensors": 0} for other in (moved, exact))
 
 
 @pytest.mark.parametrize("mean", [4.0, 20.0])

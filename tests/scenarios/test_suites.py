@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from tests.envs.rollouts import calm
+from tests.envs.rollouts import calm, started
 from wtg_gym import GFMWTGEnv, LineTrip, Plant, evaluate, get_suite
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
@@ -33,6 +33,17 @@ STANDARD, STANDARD_V1 = (
     dataclasses.replace(get_suite(name), validation=range(10_000, 10_002), test=range(20_000, 20_002))
     for name in ("standard", "standard-v1")
 )
+NOISIER = STANDARD.distributions[0].changed({LoadNoise: {"standard_deviation_mw": 1.01}})
+CHANGES = [
+    (STANDARD, {"drawn_from": {"": (NOISIER,)}}),
+    (STANDARD, {"test": range(9, 99)}),
+    (STANDARD_V1, {"drawn_from": dict(reversed(STANDARD_V1.drawn_from.items()))}),
+    (STANDARD_V1, {"plant": dataclasses.replace(STANDARD_V1.plant, secondary_time_s=31.0)}),
+    (STANDARD_V1, {"sensors": SensorDistribution(delay_s=(0.1, 0.2))}),
+    (STANDARD_V1, {"sensors": None}),
+    (STANDARD_V1, {"task": dataclasses.replace(V1, weights=V1.weights._replace(rotor=21.0))}),
+    (STANDARD_V1, {"task": dataclasses.replace(V1, duty_time_s=20.0)}),
+]
 
 
 def test_suites_are_those_of_the_benchmark():
@@ -46,12 +57,8 @@ def drawn(request):
     """A suite of the benchmark, its hash, and the scenarios of validation and test that the hash was computed of."""
     suite, scenarios, real = dataclasses.replace(get_suite(request.param)), [], Suite.scenarios
 
-    def kept(*arguments):
-        scenarios.extend(result := real(*arguments))
-        return result
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Suite, "scenarios", kept)
+        patch.setattr(Suite, "scenarios", lambda *own: [result := real(*own), scenarios.extend(result)][0])
         return suite, suite.hash, scenarios
 
 
@@ -75,8 +82,7 @@ def test_scenarios_of_a_drawn_suite_of_v1_have_the_margin_of_their_stratum_in_an
     for stratum, (low, high) in zip(suite.strata, ((0.1, math.inf), (0.0, 0.1), (-0.1, 0.0)), strict=True):
         of_stratum = [scenario for scenario in scenarios if suite.stratum(scenario.seed) == stratum]
         assert all(low <= scenario.reserve_margin < high for scenario in of_stratum)
-    for scenario in scenarios[::30]:
-        assert scenario.reserve_margin == ReserveMargin(suite.plant).of(scenario)
+    assert all(scenario.reserve_margin == ReserveMargin(suite.plant).of(scenario) for scenario in scenarios[::30])
     assert [own.to_json() for own in suite.scenarios(seeds[::-70])] == [own.to_json() for own in scenarios[::-70]]
     assert [suite.scenario(seed).to_json() for seed in seeds[:3]] == [own.to_json() for own in scenarios[:3]]
     # The other laws begin between these two.
@@ -84,23 +90,7 @@ def test_scenarios_of_a_drawn_suite_of_v1_have_the_margin_of_their_stratum_in_an
         EnvBatch(EnvSettings(suite=suite.name, strategy=law, reward="cost")).prepare(scenarios)
 
 
-@pytest.mark.parametrize(
-    ("suite", "change"),
-    [
-        (
-            STANDARD,
-            {"drawn_from": {"": (STANDARD.distributions[0].changed({LoadNoise: {"standard_deviation_mw": 1.01}}),)}},
-        ),
-        (STANDARD, {"test": range(9, 99)}),
-        (STANDARD_V1, {"drawn_from": dict(reversed(STANDARD_V1.drawn_from.items()))}),
-        (STANDARD_V1, {"plant": dataclasses.replace(STANDARD_V1.plant, secondary_time_s=31.0)}),
-        (STANDARD_V1, {"sensors": SensorDistribution(delay_s=(0.1, 0.2))}),
-        (STANDARD_V1, {"sensors": None}),
-        (STANDARD_V1, {"task": dataclasses.replace(V1, weights=V1.weights._replace(rotor=21.0))}),
-        (STANDARD_V1, {"task": dataclasses.replace(V1, duty_time_s=20.0)}),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("suite", "change"), CHANGES, ids=str)
 def test_hash_sees_scenarios_plant_sensors_and_task_but_not_words_and_copies(suite, change):
     assert dataclasses.replace(suite, **change).hash != suite.hash
     assert dataclasses.replace(suite, description="other words").hash == suite.hash
@@ -123,8 +113,7 @@ def test_a_suite_of_ones_own_records_is_played_without_a_file():
     suite = dataclasses.replace(STANDARD_V1, name="mine", drawn_from={"": (drawn,)})
     other = dataclasses.replace(suite, drawn_from={"": (drawn.changed({Blinks: {"away_s": (1.0, 3.0)}}),)})
     assert other.hash != suite.hash and drawn.to_dict()["records"]["Blinks"] == {"away_s": (1.0, 2.0)}
-    env = gym.make("wtg_gym:GFMWTG-14bus-v1", suite=suite)
-    env.reset(seed=1)
+    env = started(gym.make("wtg_gym:GFMWTG-14bus-v1", suite=suite), seed=1)
     assert env.unwrapped.settings.resolved_suite is suite and env.unwrapped.settings.suite_name == "mine"
     for scenario in suite.scenarios(range(10_000, 10_002)):
         assert [type(event) for event in scenario.events[2:]] == [LineTrip]
@@ -139,15 +128,10 @@ GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
 ANY = Plant().case.machines[0]
 LARGE = dataclasses.replace(ANY, bus=1, rating_mva=100.0, governor=GOVERNOR, dispatch_mw=0.0)
 SMALL = dataclasses.replace(ANY, bus=3, rating_mva=50.0, governor=None, dispatch_mw=10.0)
-CASE = NetworkCase(
-    name="three",
-    base_mva=100.0,
-    frequency_hz=50.0,
-    slack_bus=1,
-    buses=(Bus(number=1, voltage_pu=1.0), Bus(number=2, load_mw=60.0), Bus(number=3, load_mw=40.0, voltage_pu=1.0)),
-    branches=tuple(Branch(from_bus=a, to_bus=b, resistance=0.0, reactance=0.1) for a, b in ((1, 2), (2, 3), (1, 3))),
-    machines=(LARGE, SMALL),
-)
+BUSES = (Bus(number=1, voltage_pu=1.0), Bus(number=2, load_mw=60.0), Bus(number=3, load_mw=40.0, voltage_pu=1.0))
+LINES = tuple(Branch(from_bus=a, to_bus=b, resistance=0.0, reactance=0.1) for a, b in ((1, 2), (2, 3), (1, 3)))
+BASE = {"name": "three", "base_mva": 100.0, "frequency_hz": 50.0, "slack_bus": 1}
+CASE = NetworkCase(buses=BUSES, branches=LINES, machines=(LARGE, SMALL), **BASE)
 PLANT = Plant(case=CASE, groups=(WtgGroup(bus=2, n_turbines=10.0),))
 GOVERNED = dataclasses.replace(SMALL, governor=dataclasses.replace(GOVERNOR, gate_max_pu=1.2), dispatch_mw=0.0)
 SHARING = dataclasses.replace(PLANT, case=dataclasses.replace(CASE, machines=(LARGE, GOVERNED)), shares_dispatch=True)
@@ -159,21 +143,14 @@ def wind_of(share: float) -> float:
 
 WIND = wind_of(0.8)
 FALLING = np.array([[WIND] * 400 + [wind_of(0.2)] * 401])
+LESS = sc.LoadRamp(time_s=5.0, bus=3, power_mw=-20.0, duration_s=5.0)
 MORE = sc.LoadStep(time_s=20.0, bus=3, power_mw=60.0)
 OPEN = [sc.LineTrip(time_s=5.0, from_bus=1, to_bus=2), sc.LineTrip(time_s=10.0, from_bus=2, to_bus=3)]
 CASES = {
     "nothing": ([], {}, 0.34),
     "load": ([sc.LoadStep(time_s=5.0, bus=3, power_mw=20.0)], {}, 137 / 120 - 1.03),
-    "less load": (
-        [sc.LoadRamp(time_s=5.0, bus=3, power_mw=-20.0, duration_s=5.0), sc.LoadTrip(time_s=9.0, bus=2)],
-        {},
-        0.34,
-    ),
-    "load of a bus that is tripped": (
-        [sc.LoadTrip(time_s=5.0, bus=2), MORE, sc.GroupTrip(time_s=20.0, group=0)],
-        {},
-        -0.06,
-    ),
+    "less load": ([LESS, sc.LoadTrip(time_s=9.0, bus=2)], {}, 0.34),
+    "load of a tripped bus": ([sc.LoadTrip(time_s=5.0, bus=2), MORE, sc.GroupTrip(time_s=20.0, group=0)], {}, -0.06),
     "group": ([sc.GroupTrip(time_s=5.0, group=0)], {}, -0.06),
     "generator": ([sc.MachineOutage(time_s=5.0, bus=1)], {}, -0.53),
     "governor": ([sc.GovernorLoss(time_s=5.0, bus=1)], {}, 0.02),
@@ -191,9 +168,8 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_the_margin_is_that_of_a_calculation_by_hand(name):
     events, changes, margin = CASES[name]
-    scenario = sc.Scenario(
-        name=name, **{"wind_speed": np.array([[WIND]]), "duration_s": 80.0, "events": tuple(events), **changes}
-    )
+    usual = {"wind_speed": np.array([[WIND]]), "duration_s": 80.0}
+    scenario = sc.Scenario(name=name, events=tuple(events), **usual | changes)
     assert ReserveMargin(PLANT).of(scenario) == pytest.approx(margin, abs=1e-6)
 
 
