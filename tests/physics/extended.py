@@ -37,12 +37,11 @@ def plant(
     dead_band: float = 0.0,
     **more,
 ) -> Plant:
-    kind = HydroGovernorParameters if table else GovernorParameters
+    governor = HydroGovernorParameters if table else GovernorParameters
+    turbine = parameters.nrel_5mw if table else parameters.TurbineParameters
     given = {
-        "case": with_machine(governor=kind(dead_band_pu=dead_band)),
-        "turbine": parameters.nrel_5mw(conserves_energy=energy)
-        if table
-        else parameters.TurbineParameters(conserves_energy=energy),
+        "case": with_machine(governor=governor(dead_band_pu=dead_band)),
+        "turbine": turbine(conserves_energy=energy),
         "limits": parameters.ConverterLimitParameters() if limits is True else limits or None,
         "voltage_control": parameters.VoltageControlParameters() if voltage is True else voltage or None,
         "shedding": parameters.european_shedding(),
@@ -100,18 +99,15 @@ def largest_rate(simulator: Simulator) -> float:
     return float(np.abs(simulator.rates()[keep]).max())
 
 
-def fault(time_s: float = 1.0, duration_s: float = 0.15, bus: int = 2) -> tuple[LoadStep, LoadStep]:
+def fault(time_s: float = 1.0, duration_s: float = 0.15, bus: int = 2) -> tuple[LoadStep, ...]:
     """A short circuit nearby: its reactance takes 2000 Mvar at nominal voltage."""
-    return (
-        LoadStep(time_s=time_s, bus=bus, power_mw=0.0, reactive_mvar=2000.0),
-        LoadStep(time_s=time_s + duration_s, bus=bus, power_mw=0.0, reactive_mvar=-2000.0),
-    )
+    return pulse(bus, reactive_mvar=2000.0, from_s=time_s, until_s=time_s + duration_s)
 
 
-def pulse(bus: int, power_mw: float = 0.0, reactive_mvar: float = 0.0, until_s: float = 21.0) -> tuple[LoadStep, ...]:
-    return (
-        LoadStep(time_s=1.0, bus=bus, power_mw=power_mw, reactive_mvar=reactive_mvar),
-        LoadStep(time_s=until_s, bus=bus, power_mw=-power_mw, reactive_mvar=-reactive_mvar),
+def pulse(bus: int, power_mw: float = 0.0, reactive_mvar: float = 0.0, from_s: float = 1.0, until_s: float = 21.0):
+    return tuple(
+        LoadStep(time_s=time_s, bus=bus, power_mw=sign * power_mw, reactive_mvar=sign * reactive_mvar)
+        for time_s, sign in ((from_s, 1.0), (until_s, -1.0))
     )
 
 
@@ -119,10 +115,7 @@ def rough(seed: int) -> Scenario:
     """A scenario of a suite with a large load step more, and every third time a fault."""
     rng = np.random.default_rng(seed)
     drawn = get_suite(("standard", "weak-grid", "gust", "low-wind")[seed % 4]).scenario(20_000 + seed)
-    step = LoadStep(
-        time_s=5.0 + round(float(rng.uniform(0.0, 10.0)), 1),
-        bus=int(rng.integers(2, 15)),
-        power_mw=float(rng.uniform(-150.0, 250.0)),
-        reactive_mvar=float(rng.uniform(-50.0, 50.0)),
-    )
+    place = {"time_s": 5.0 + round(float(rng.uniform(0.0, 10.0)), 1), "bus": int(rng.integers(2, 15))}
+    size = {"power_mw": float(rng.uniform(-150.0, 250.0)), "reactive_mvar": float(rng.uniform(-50.0, 50.0))}
+    step = LoadStep(**place, **size)
     return dataclasses.replace(drawn, events=(*drawn.events, step, *(fault(20.0, bus=4) if seed % 3 == 0 else ())))

@@ -71,9 +71,8 @@ def g(speed: float, law: TrackingLaw) -> float:
 
 
 def test_laws_are_the_papers_corners_straight_line_and_constants():
-    assert [g(w, LAWS["coordinated-piecewise"]) for w in (0.992, 1.0, 1.008)] == pytest.approx(
-        [K_OPT, K_N, K_PR], rel=1e-14
-    )
+    corners = [g(speed, LAWS["coordinated-piecewise"]) for speed in (0.992, 1.0, 1.008)]
+    assert corners == pytest.approx([K_OPT, K_N, K_PR], rel=1e-14)
     for speed in (0.993, 0.998, 1.0, 1.003, 1.0075):
         line = (K_OPT - K_PR) / (0.992 - 1.008) * (speed - 1.008) + K_PR
         assert g(speed, LAWS["coordinated-linear"]) == pytest.approx(line, rel=1e-12)

@@ -1,6 +1,7 @@
 """What physics, scenarios and suites refuse: one row for each rule. Ranges, sources; files of measured wind."""
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 
@@ -8,12 +9,13 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import LAW, classical, plant, scenario, started, with_machine
+from tests.physics.test_grid_files import STRANGER
 from wtg_gym import Plant, TrackingLaw, simulate
 from wtg_gym.physics import machine_parameters
 from wtg_gym.physics import parameters as p
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.grid import Branch, Bus, NetworkCase, get_grid
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase, get_grid, read_grid
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.physics.simulator import Simulator
@@ -25,16 +27,15 @@ from wtg_gym.scenarios.draws import SensorDistribution
 NAN = math.nan
 IEEE14 = get_grid("ieee14").case
 TURBINES = (p.TurbineParameters(),) * 2
+PEAKLESS = p.TurbineParameters(power_coefficient=p.PowerCoefficientParameters(c6=1.0))
+STAGES = tuple(p.SheddingStage(frequency_pu=0.98, share=share) for share in (0.6, 0.5))
 LAWS = [
     ("k_min = 1\nk_nominal = 1\n", r"exactly one of k_max \[p.u.\] and deloading_max \[%\], got neither"),
     ("k_min = 1\nk_nominal = 1\nk_max = 9\n", "k_max .* = 9 p.u. is outside the allowed range 0.001 … 3 p.u."),
     ("k_min = 1\nk_nominal = 1\nk_max = 1\ntau_s = -1\n", "must be 0.05 … 100000 s, 0 s .* infinite .*, got -1 s"),
     ("deloading_min = 0\ndeloading_nominal = 0.05\ndeloading_max = 10\n", "is in percent: write 5 for 5 %"),
 ]
-TABLES = [
-    ("0.020093", "hole", "the rotor table .*mine.toml: .*'hole'"),
-    ("0.020093   ", "", "mine.toml: a rotor table of"),
-]
+TABLES = [("0.020093", "hole", "the rotor table .*mine.toml: .*'hole'"), ("0.020093 ", "", "mine.toml: a rotor table")]
 
 
 def of(kind, **values):
@@ -42,26 +43,16 @@ def of(kind, **values):
 
 
 def case(**changes):
-    usual = {
-        "name": "two buses",
-        "base_mva": 100.0,
-        "frequency_hz": 50.0,
-        "slack_bus": 1,
-        "buses": (Bus(number=1, voltage_pu=1.0), Bus(number=2, load_mw=10.0)),
-        "branches": (Branch(from_bus=1, to_bus=2, resistance=0.01, reactance=0.1),),
-        "machines": (classical(bus=1),),
-    }
-    return of(NetworkCase, **{**usual, **changes})
+    base = {"name": "two buses", "base_mva": 100.0, "frequency_hz": 50.0, "slack_bus": 1}
+    usual = {"machines": (classical(bus=1),), "buses": (Bus(number=1, voltage_pu=1.0), Bus(number=2, load_mw=10.0))}
+    usual["branches"] = (Branch(from_bus=1, to_bus=2, resistance=0.01, reactance=0.1),)
+    return of(NetworkCase, **base, **{**usual, **changes})
 
 
 def table(**changes):
     rows = tuple((0.1 * i, 0.08 * i, 0.05 * i, 0.02 * i) for i in range(1, 5))
     usual = {"tip_speed_ratio": (2.0, 4.0, 6.0, 8.0), "pitch_deg": (0.0, 5.0, 10.0, 15.0), "power_coefficient": rows}
     return of(RotorTable, **{**usual, **changes})
-
-
-def sensors(**changes):
-    return of(Sensors, **{"seed": 1, "wind_bias": (0.0, 0.0), **changes})
 
 
 def given(**changes):
@@ -82,16 +73,13 @@ RECORDS = [
     (lambda: power_coefficient(np.array([7.0, np.inf])), r"tip-speed ratio must be positive, got inf"),
     (lambda: available_power_pu(-5.0), r"wind speed must be 0 m/s or more, got -5 m/s"),
     (lambda: tracking_point(1.0), r"deloading = 1 is outside the allowed range 0 … 0.9"),
-    (
-        lambda: tracking_point(0.05, p.TurbineParameters(power_coefficient=p.PowerCoefficientParameters(c6=1.0))),
-        r"C_p curve has no maximum at a tip-speed ratio in the allowed range 4 … 12",
-    ),
+    (lambda: tracking_point(0.05, PEAKLESS), r"C_p curve has no maximum at a tip-speed ratio .* range 4 … 12"),
     (table(pitch_deg=(0.0, 5.0, 5.0, 15.0)), "pitch angles of a rotor table must be finite and rise"),
     (table(pitch_deg=(1.0, 5.0, 10.0, 15.0)), "must reach from 0 deg or below to above 0 deg"),
     (table(power_coefficient=((0.1,) * 4,) * 3 + ((0.1, 0.1, NAN, 0.1),)), "no number at a tip-speed ratio of 8"),
     (lambda: read_rotor_table(Path("nowhere.txt")), "nowhere.txt"),
-    (sensors(seed=2**31), "seed must be a whole number in 0 … 2147483647, got 2147483648"),
-    (sensors(wind_bias=(0.1, 0.6)), "wind_bias = 0.6.*-0.5 … 0.5"),
+    (of(Sensors, seed=2**31, wind_bias=(0.0, 0.0)), "seed must be a whole number in 0 … 2147483647, got 2147483648"),
+    (of(Sensors, seed=1, wind_bias=(0.1, 0.6)), "wind_bias = 0.6.*-0.5 … 0.5"),
     (case(buses=(Bus(number=1), Bus(number=1))), "unique"),
     (case(buses=(Bus(number=1), Bus(number=2), Bus(number=3))), "not connected"),
     (case(branches=(Branch(from_bus=1, to_bus=9, resistance=0.0, reactance=0.1),)), r"unknown bus 9; .* \[1, 2\]"),
@@ -112,15 +100,9 @@ RECORDS = [
     (given(committed=0.0), "committed = 0 is outside"),
     (event(kind="quake"), "needs a kind out of load_step"),
     (event(time_s=-1.0), "time_s = -1 s is outside"),
-    (
-        event(kind="machine_outage"),
-        r"unknown machine_outage keys \['power_mw'\]; known machine_outage keys: time_s, bus",
-    ),
+    (event(kind="machine_outage"), r"unknown machine_outage keys \['power_mw'\]; known .* keys: time_s, bus"),
     *((of(sc.GroupTrip, time_s=1.0, group=group), "group must be a whole number") for group in (-1, 1.0, True)),
-    *(
-        (of(sc.LineTrip, time_s=1.0, from_bus=1, to_bus=2, recloses_after_s=after_s), "recloses_after_s")
-        for after_s in (-0.5, 0.0, NAN, "soon")
-    ),
+    *((lambda after_s=after_s: line(1.0, 1, 2, after_s), "recloses_after_s") for after_s in (-0.5, 0.0, NAN, "soon")),
     (given(wind_speed=11.0), r"got shape \(\); for constant wind write \[\[11.0\], \[9.0\]\]"),
     (of(sc.LoadStep, power=30.0), "unknown arguments of LoadStep .'power'.; .* did you mean 'power_mw'?"),
     (lambda: Plant().replaced(droop_gain_pu=20.0), 'a setting of control: plant={"control": {"droop_gain_pu": …}}'),
@@ -131,10 +113,7 @@ RECORDS = [
     *((of(Plant, secondary_time_s=time_s), "secondary_time_s") for time_s in (0.5, -30.0, 4000.0, NAN, "30")),
     (of(Plant, groups=(p.WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
     (of(Plant, control=p.GridFormingParameters(frequency_setpoint_pu=0.998)), "frequency_setpoint_pu must be 1 p.u."),
-    (
-        of(Plant, shedding=tuple(p.SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
-        "the shedding stages disconnect 110 % of the load",
-    ),
+    (of(Plant, shedding=STAGES), "the shedding stages disconnect 110 % of the load"),
     *((lambda n=n: Simulator(Plant(), num_envs=n), "num_envs must be a whole number") for n in (0, 1.5, True)),
     (lambda: Simulator(Plant(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
     (
@@ -154,15 +133,9 @@ def line(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | No
     return sc.LineTrip(time_s=time_s, from_bus=from_bus, to_bus=to_bus, recloses_after_s=recloses_after_s)
 
 
-def extended(*events):
-    return lambda: started(plant(), scenario(*events))
-
-
 #: Lines that part the buses 1, 2, 3, 6 and 8, each of which has a unit, from one another.
-FIVE = tuple(
-    line(1.0, *ends)
-    for ends in ((1, 2), (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (5, 6), (6, 11), (6, 12), (6, 13), (7, 8))
-)
+PARTING = ((1, 2), (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (5, 6), (6, 11), (6, 12), (6, 13), (7, 8))
+FIVE = tuple(line(1.0, *ends) for ends in PARTING)
 
 UNFIT = [
     (fit(sc.LoadStep(time_s=1.003, bus=2, power_mw=1.0)), "event time = 1.003 s is not a whole number"),
@@ -176,23 +149,23 @@ UNFIT = [
     (fit(*(sc.GroupTrip(time_s=t, group=1) for t in (1.0, 2.0))), "disconnects WTG group 2 of 2 at bus 2 twice"),
     (fit(sc.GovernorLoss(time_s=1.0, bus=3)), r"no machine with a governor at bus 3; buses with one: \[1\]"),
     (fit(sc.MachineOutage(time_s=1.0, bus=2)), r"no synchronous machine at bus 2; buses with one: \[1, 3, 6, 8\]"),
-    (
-        fit(*(sc.MachineOutage(time_s=t, bus=3) for t in (2.0, 1.0))),
-        "disconnects the synchronous machine at bus 3 twice",
-    ),
+    (fit(*(sc.MachineOutage(time_s=t, bus=3) for t in (2.0, 1.0))), "the synchronous machine at bus 3 twice"),
     (fit(sc.Fault(time_s=1.0, bus=99, clears_after_s=0.1)), r"unknown bus 99; .* has buses \[1, 2"),
     (fit(sc.Fault(time_s=1.0, bus=4, clears_after_s=0.1, opens=(1, 9))), "no branch 1-9 in .*; branches: 1-2"),
     (fit(sc.Fault(time_s=1.0, bus=4, clears_after_s=0.101)), "clears_after_s = 0.101 s is not a whole number"),
     (fit(sc.ReactanceStep(time_s=1.0, from_bus=1, to_bus=4, factor=2.0)), "no branch 1-4 in .*; branches: 1-2"),
     (fit(sc.PhaseJump(time_s=1.0, bus=1, angle_deg=5.0)), r"no imposed source at bus 1; buses with one: \[\]"),
     (fit(sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=1.0)), "no imposed source at bus 1;"),
-    (extended(*FIVE), "its line trips leave 5 islands with a unit; allowed: at most 4"),
+    (lambda: started(plant(), scenario(*FIVE)), "its line trips leave 5 islands with a unit; allowed: at most 4"),
     (fit(duration_s=300.0), "lasts 300 s, longer than the 120 s held here"),
     (fit(wind=np.full((3, 1), 9.0)), "has wind for 3 WTG groups, the plant has 2 groups"),
     (fit(wind=np.full((2, 1), 25.0), load_level=0.3), "scenario 'x' cannot start"),
 ]
 
 GREEDY = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
+WINDY = scenario(wind=[[11.4], [11.4]], load_level=1.5)
+LOW_VOLTAGE = p.ProtectionParameters(internal_voltage_max_pu=1.45)
+FAST_ROTOR = p.ProtectionParameters(rotor_speed_min_pu=0.5)
 LOW_GATE = with_machine(governor=machine_parameters.HydroGovernorParameters(gate_max_pu=0.1))
 STARTS = [
     (
@@ -208,17 +181,9 @@ STARTS = [
         lambda: started(plant(limits=p.ConverterLimitParameters(power_max_pu=0.5)), scenario()),
         "WTG group 1 of 2 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u.",
     ),
+    (lambda: started(Plant(protection=LOW_VOLTAGE), WINDY), "WTG group 1 of 2 at bus 2 needs .* at most 1.45"),
     (
-        lambda: started(
-            Plant(protection=p.ProtectionParameters(internal_voltage_max_pu=1.45)),
-            scenario(wind=[[11.4], [11.4]], load_level=1.5),
-        ),
-        "WTG group 1 of 2 at bus 2 needs .* at most 1.45",
-    ),
-    (
-        lambda: simulate(
-            scenario(wind=[[8.0], [4.5]]), LAW, plant(protection=p.ProtectionParameters(rotor_speed_min_pu=0.5))
-        ),
+        lambda: simulate(scenario(wind=[[8.0], [4.5]]), LAW, plant(protection=FAST_ROTOR)),
         "WTG group 2 of 2 at bus 2 would start at 0.4.* p.u. in a wind of 4.5 m/s, below the under-speed trip at 0.5 p",
     ),
 ]
@@ -256,15 +221,9 @@ SUITES = [
     (lambda: drawn(WIND, draws.Faults(probability=0.0, lines=((8, 7),))), r"Faults.lines must be.*\(8, 7\)"),
     (lambda: drawn(WIND, draws.LoadNoise(bus=99)), "LoadNoise.bus: there is no bus 99"),
     (lambda: drawn(WIND, draws.MachineOutages(probability=0.1, buses=(5,))), "there is no machine at bus 5"),
-    (
-        lambda: drawn(WIND, draws.Islandings(line_sets=[[(5, 6), (9, 10)]])),
-        r"two parts .*.* \(\(5, 6\), \(9, 10\)\)",
-    ),
+    (lambda: drawn(WIND, draws.Islandings(line_sets=[[(5, 6), (9, 10)]])), r"two parts .*.* \(\(5, 6\), \(9, 10\)\)"),
     (lambda: drawn(WIND).changed({draws.Faults: {}}), "unknown records .*; known records: Wind"),
-    (
-        lambda: drawn(draws.LineTrips(), WIND, draws.Islandings(line_sets=(((7, 8),),))),
-        "Islandings exclude LineTrips",
-    ),
+    (lambda: drawn(draws.LineTrips(), WIND, draws.Islandings(line_sets=(((7, 8),),))), "Islandings exclude LineTrips"),
     (lambda: STANDARD.distributions[0].draw(-1), "a seed must be a whole number in 0 … [0-9]*, got -1"),
     (lambda: STANDARD.distributions[0].draw(1, 0), "n_wtg must be a whole number in 1 … 100, got 0"),
     (lambda: STANDARD.distributions[0].draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
@@ -273,10 +232,7 @@ SUITES = [
     (sensors_of(delay_s=(0.1, 0.25)), "whole numbers of 0.1 s"),
     (sensors_of(wind_bias=math.nan), "wind_bias = nan.*0 … 0.2"),
     (sensors_of(wind_sensor="no"), "wind_sensor must be bool"),
-    (
-        sensors_of(delay=0.1),
-        "unknown values .*; known values of the sensors: .*, wind_sensor; did you mean 'delay_s'",
-    ),
+    (sensors_of(delay=0.1), "unknown values .*; known values of the sensors: .*, wind_sensor; did you mean 'delay_s'"),
     *(
         (lambda seed=seed: STANDARD.scenario(seed), "train 1000000 … 2147483647, validation 10000 … 10099, test 20000")
         for seed in (9_999, 10_100, 2**31, 20_000.0, True)
@@ -288,7 +244,6 @@ SUITES = [
     (lambda: dataclasses.replace(STANDARD, drawn_from={"": STANDARD.distributions, "more": ()}), "every stratum"),
     (lambda: dataclasses.replace(STANDARD, drawn_from={"": STANDARD.distributions, "a": (SHARED,)}), "every stratum"),
 ]
-
 
 HEADER = "time_s,wind_1_m_s,wind_2_m_s\n"
 GOOD = HEADER + "".join(f"{0.5 * i:g},{8 + 0.1 * i:g},{9 - 0.1 * i:g}\n" for i in range(9))
@@ -305,16 +260,23 @@ WINDS: list[tuple[str | bytes, str]] = [
     (GOOD.encode().replace(b"8.4", b"8\xb74"), "line 6.*0xb7.*UTF-8"),
     (GOOD, "line 10: .*4 s.*at least 60 s"),
 ]
+VALUES = [*RECORDS, *UNFIT, *SUITES, *((call, f"scenario 'x' cannot start: .*{said}") for call, said in STARTS)]
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [*RECORDS, *UNFIT, *SUITES, *((call, f"scenario 'x' cannot start: .*{message}") for call, message in STARTS)],
-)
+@pytest.mark.parametrize(("call", "message"), VALUES)
 def test_bad_values_are_refused_with_value_unit_and_range_in_one_line(call, message):
     with pytest.raises(ValueError, match=message) as refused:
         call()
     assert "\n" not in str(refused.value)
+
+
+GRIDS = [
+    ({"slack_bus": 7}, "slack bus 7"),
+    ({"groups": [{"bus": 13}]}, "unknown bus 13"),
+    ({"machines": [{**STRANGER["machines"][0], "two_h_s": -1.0}]}, "at bus 101: .*two_h_s"),
+    ({"colour": "red"}, "unknown NetworkCase"),
+    ({"branches": [{"from_bus": 12}]}, "Branch .*12.* misses to_bus"),
+]
 
 
 def read_wind(path: Path) -> object:
@@ -325,6 +287,7 @@ FILES = [
     *((read_law, text, message) for text, message in LAWS),
     *((read_rotor_table, p.ROTOR_TABLE.read_text().replace(find, other), message) for find, other, message in TABLES),
     *((read_wind, text, rf"mine\.toml.*{message}") for text, message in WINDS),
+    *((read_grid, json.dumps({**STRANGER, **change}), rf"mine\.toml.*{message}") for change, message in GRIDS),
 ]
 
 
@@ -338,13 +301,9 @@ def test_bad_files_are_refused_with_their_name(tmp_path, read, text, message):
 
 
 MACHINE = IEEE14.machines[0]
-CHECKED = [
-    kind()
-    for kind in (*vars(p).values(), *vars(machine_parameters).values())
-    if isinstance(kind, type)
-    and issubclass(kind, Checked)
-    and kind not in (Checked, machine_parameters.SynchronousMachineParameters)
-]
+TYPES = [kind for kind in (*vars(p).values(), *vars(machine_parameters).values()) if isinstance(kind, type)]
+WITH_DEFAULTS = {kind for kind in TYPES if issubclass(kind, Checked)} - {Checked, type(MACHINE)}
+CHECKED = [kind() for kind in TYPES if kind in WITH_DEFAULTS]
 CHECKED += [MACHINE, MACHINE.governor, MACHINE.exciter, *IEEE14.buses[:1], *IEEE14.branches[:1]]
 
 

@@ -12,7 +12,7 @@ from tests.physics.test_islands import PARTED_WIND, cut, parted
 from wtg_gym import Plant, simulate
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.devices import SOURCES
-from wtg_gym.physics.grid import NetworkCase, Source, get_grid
+from wtg_gym.physics.grid import Source, get_grid
 from wtg_gym.physics.network_events import assemble
 from wtg_gym.physics.parameters import ConverterLimitParameters
 from wtg_gym.physics.protection import FILTER_S, Status, turn_between
@@ -20,6 +20,9 @@ from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS, Phasor, TripCause
 
+IEEE14 = get_grid("ieee14").case
+#: An imposed source in the place of the machine with the governor.
+WITH_SOURCE = dataclasses.replace(IEEE14, machines=IEEE14.machines[1:], sources=(Source(bus=1, reactance=0.02),))
 PAIR = (LAWS["coordinated-piecewise"],) * 2
 ALL = (
     sc.LoadStep(time_s=0.5, bus=3, power_mw=20.0, reactive_mvar=5.0),
@@ -193,25 +196,18 @@ def test_a_chopper_heats_by_what_it_burns_and_cools_and_a_group_with_a_full_one_
     assert 0.015 < fullest[1] < 0.02 and heat[1] < 0.2 * fullest[1] and fullest[0] == 0.0
 
 
-def with_source(**changes: float) -> NetworkCase:
-    """An imposed source in the place of the machine with the governor."""
-    case = get_grid("ieee14").case
-    return dataclasses.replace(case, machines=case.machines[1:], sources=(Source(bus=1, reactance=0.02, **changes),))
-
-
 def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_inertia_leaves_it_out():
-    settings = plant(case=with_source(), shedding=NO_SHEDDING)
+    settings = plant(case=WITH_SOURCE, shedding=NO_SHEDDING)
     ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=-0.05, duration_s=6.0)
     simulator = started(settings, scenario(ramp, wind=[[8.0], [8.0]], duration_s=200.0), duration_s=200.0)
     assert extended.largest_rate(simulator) < 1e-10
     row = simulator.layout.rows_of(SOURCES, "speed")[0]
-    machines, groups = simulator.plant.machines["two_h"], simulator.plant.share * 10.0
+    weights = np.concatenate([simulator.plant.machines["two_h"], simulator.plant.share * 10.0])
     result = []
     for _ in range(2000):
         simulator.advance()
         speed = simulator.wtg_values("speed")[0] + simulator.wtg_values("shift")[0]
         speed = np.concatenate([simulator.machine_values("speed")[0], speed])
-        weights = np.concatenate([machines, groups])
         centre = simulator.env_values("coi")[0]
         assert centre - 1.0 == pytest.approx(weights @ (speed - 1.0) / weights.sum(), abs=1e-14)
         result.append([simulator.blocks[0, row, 0], *speed])
@@ -228,7 +224,7 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
 @pytest.mark.parametrize(("deviation_hz", "power"), [(-0.4, 1.05), (-0.2, 1.02375), (0.0, 0.9975), (0.2, 0.97125)])
 def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz, power):
     ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=deviation_hz / 4.0, duration_s=4.0)
-    settings = plant(case=with_source(), shedding=NO_SHEDDING)
+    settings = plant(case=WITH_SOURCE, shedding=NO_SHEDDING)
     simulator = started(settings, scenario(ramp, wind=[[14.0], [8.0]], duration_s=120.0), duration_s=120.0)
     recorded(simulator, 120.0)
     assert simulator.wtg_values("captured")[0, 0] == pytest.approx(power, abs=1e-6)
@@ -254,17 +250,14 @@ def test_a_local_frequency_is_the_filtered_turn_of_the_voltage():
         expected += (1.0 - math.exp(-0.1 / FILTER_S)) * (measured - expected)
         assert numbers(simulator, BUSES, "frequency") == pytest.approx(expected, abs=1e-7)
         before = now
-        units = np.concatenate(
-            [simulator.machine_values("speed")[0], simulator.wtg_values("speed")[0] + simulator.wtg_values("shift")[0]]
-        )
-        lowest = min(lowest, expected.min(), units.min())
+        groups = simulator.wtg_values("speed") + simulator.wtg_values("shift")
+        lowest = min(lowest, expected.min(), simulator.machine_values("speed").min(), groups.min())
         assert simulator.env_values("worst_min")[0] == pytest.approx(lowest, abs=1e-7)
     assert lowest < 0.998
 
 
 def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating():
-    case = get_grid("ieee14").case
-    half = extended.with_machine(rating_mva=0.5 * case.machines[0].rating_mva)
+    half = extended.with_machine(rating_mva=0.5 * IEEE14.machines[0].rating_mva)
     step = sc.LoadStep(time_s=1.0, bus=3, power_mw=30.0)
     some, small = started(plant(), scenario(step, committed=0.5)), started(plant(case=half), scenario(step))
     for _ in range(100):

@@ -44,18 +44,14 @@ def rows_of(simulator: Simulator, kind: Kind, units: list[int]) -> np.ndarray:
 
 
 def alone(settings: Plant, buses: tuple[int, ...], slack: int) -> Plant:
-    case = settings.case
-    return dataclasses.replace(
-        settings,
-        case=dataclasses.replace(
-            case,
-            slack_bus=slack,
-            buses=tuple(bus for bus in case.buses if bus.number in buses),
-            branches=tuple(b for b in case.branches if b.from_bus in buses and b.to_bus in buses),
-            machines=tuple(machine for machine in case.machines if machine.bus in buses),
-        ),
-        groups=tuple(group for group in settings.groups if group.bus in buses),
-    )
+    whole = settings.case
+    parts = {
+        "buses": tuple(bus for bus in whole.buses if bus.number in buses),
+        "branches": tuple(b for b in whole.branches if b.from_bus in buses and b.to_bus in buses),
+    }
+    machines, groups = (tuple(u for u in units if u.bus in buses) for units in (whole.machines, settings.groups))
+    case = dataclasses.replace(whole, slack_bus=slack, machines=machines, **parts)
+    return dataclasses.replace(settings, case=case, groups=groups)
 
 
 @pytest.mark.parametrize(("buses", "slack"), [(NORTH, 1), (SOUTH, 6)], ids=["grid", "second island"])
@@ -66,9 +62,8 @@ def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses, slack):
     groups = [j for j, group in enumerate(settings.groups) if group.bus in buses]
     machines = [i for i, machine in enumerate(settings.case.machines) if machine.bus in buses]
     events = [LoadStep(time_s=0.0, bus=13, power_mw=5.0)] if 13 in buses else []
-    part = started(
-        alone(settings, buses, slack), scenario(*events, wind=np.array(PARTED_WIND)[groups], load_noise_bus=slack)
-    )
+    what = scenario(*events, wind=np.array(PARTED_WIND)[groups], load_noise_bus=slack)
+    part = started(alone(settings, buses, slack), what)
     at = [settings.case.bus_index(bus) for bus in buses]
     for kind, own in ((MACHINES, machines), (GROUPS, groups), (EXTENSIONS, groups), (BUSES, at)):
         into = rows_of(part, kind, list(range(len(own))))
@@ -85,9 +80,8 @@ def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses, slack):
         whole.advance()
         part.advance()
         for name in ("speed", "power", "voltage"):
-            assert whole.machine_values(name)[0, machines] == pytest.approx(part.machine_values(name)[0], abs=1e-11), (
-                name
-            )
+            own, expected = whole.machine_values(name)[0, machines], part.machine_values(name)[0]
+            assert own == pytest.approx(expected, abs=1e-11), name
         for name in ("speed", "power", "rotor_speed", "terminal_voltage"):
             assert whole.wtg_values(name)[0, groups] == pytest.approx(part.wtg_values(name)[0], abs=1e-11), name
         centre = numbers(whole, ISLANDS, "centre")[island]
@@ -172,9 +166,8 @@ def test_without_its_last_machine_a_grid_of_converters_runs_on():
     assert np.ptp(result["speed"][-1]) < 1e-6
     angles = simulator.env_values("angle")[0]
     simulator.advance()
-    assert simulator.env_values("angle")[0] - angles == pytest.approx(
-        0.1 * 100.0 * np.pi * (held - 1.0), rel=1e-9, abs=1e-12
-    )
+    turned = simulator.env_values("angle")[0] - angles
+    assert turned == pytest.approx(0.1 * 100.0 * np.pi * (held - 1.0), rel=1e-9, abs=1e-12)
 
 
 def test_wind_turbines_alone_share_the_load_by_one_factor_on_k_or_too_little_wind_is_said_in_one_line():

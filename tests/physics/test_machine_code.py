@@ -14,6 +14,7 @@ import wtg_gym
 from wtg_gym.systems import compiled
 from wtg_gym.systems.compiled import KINDS
 
+IS_V3 = all(map(get_host_cpu_features().get, KINDS["x86-64-v3"]))
 #: Two functions, of which one calls the other, compiled as the simulator's are, in a `folder`.
 PROGRAM = """
 import numba
@@ -59,13 +60,8 @@ def here(folder: Path | None) -> int:
 
 
 def run(program: str, folder: Path, **environment: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-c", program, str(folder)],
-        env={**os.environ, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command, pipes = [sys.executable, "-c", program, str(folder)], dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    return subprocess.Popen(command, env={**os.environ, **environment}, text=True, **pipes)
 
 
 def outcome(process: subprocess.Popen[str]) -> list[str]:
@@ -96,9 +92,7 @@ def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_a
     assert here(folder) == 0
 
 
-@pytest.mark.skipif(
-    not all(map(get_host_cpu_features().get, KINDS["x86-64-v3"])), reason="needs a processor of the kind x86-64-v3"
-)
+@pytest.mark.skipif(not IS_V3, reason="needs a processor of the kind x86-64-v3")
 def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp_path, monkeypatch):
     made = outcome(run(IN_A_PROCESS, tmp_path, NUMBA_CPU_NAME="x86-64-v3", NUMBA_CPU_FEATURES=""))
     assert made == ["10.0", "10", "4.0", "4"]
@@ -146,9 +140,8 @@ def test_a_full_disk_stops_nothing(tmp_path):
 
 
 def test_editing_a_callee_in_another_file_is_never_ignored(tmp_path):
-    shutil.copytree(
-        Path(wtg_gym.__file__).parent, tmp_path / "wtg_gym", ignore=shutil.ignore_patterns("__pycache__", "shipped")
-    )
+    ignored = shutil.ignore_patterns("__pycache__", "shipped")
+    shutil.copytree(Path(wtg_gym.__file__).parent, tmp_path / "wtg_gym", ignore=ignored)
     own = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": ""}
     before = outcome(run(COPIED, tmp_path, **own))
     edited = tmp_path / "wtg_gym" / "systems" / "elementary.py"

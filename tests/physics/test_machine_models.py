@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.physics.extended import largest_rate, scenario, with_machine
+from tests.changes import write
+from tests.physics.extended import largest_rate, recorded, scenario, with_machine
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.physics import machine_models as models
 from wtg_gym.physics import machine_parameters as controls
 from wtg_gym.physics.grid import Branch, Bus, Grid, NetworkCase, get_grid, grid_text
-from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.linearisation import moving_matrix
 from wtg_gym.physics.machine import saturated, saturation_constants
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, WtgGroup
@@ -29,9 +30,14 @@ FILTER = controls.FilterStabiliserParameters(
 )
 SATURATION = {"saturation_voltage_1_pu": 1.5, "saturation_1": 0.06, "saturation_voltage_2_pu": 3.0, "saturation_2": 0.3}
 EXCITER = controls.LeadLagExciterParameters(regulator_gain=40.0, lead_time_s=0.5, lag_time_s=1.5, **SATURATION)
-BOILER = controls.BoilerGovernorParameters(
-    lag_time_s=0.2, lead_time_s=0.5, fraction_1=0.3, fraction_2=0.2, fraction_3=0.5
-)
+FRACTIONS = {"fraction_1": 0.3, "fraction_2": 0.2, "fraction_3": 0.5}
+BOILER = controls.BoilerGovernorParameters(lag_time_s=0.2, lead_time_s=0.5, **FRACTIONS)
+#: Where a machine cannot start.
+BEYOND = [
+    ({"governor": dataclasses.replace(BOILER, gate_max_pu=0.2)}, "p.u. of valve, beyond its valve limits 0 … 0.2"),
+    ({"governor": controls.GasGovernorParameters(load_limit_pu=0.3)}, "p.u. of valve, beyond its valve limits"),
+    ({"exciter": dataclasses.replace(EXCITER, regulator_max_pu=1.0)}, "regulator, beyond its regulator limits"),
+]
 INV_DROOP = 20.0
 HYDRO = HydroGovernorParameters()
 CONSTANTS = models.hydro_constants(0, HYDRO)
@@ -40,14 +46,10 @@ GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
 DT, SECONDARY_S = 0.025, 30.0
 MORE = LoadStep(time_s=1.0, bus=4, power_mw=60.0)
 LEFT_OUT = [
-    {},
-    {"filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
-    {"filter_a3_s": 0.0, "filter_a4_s2": 0.0},
+    *({}, {"washout_gain_s": 0.0}, {"lead_time_1_s": 0.0, "lag_time_1_s": 0.0}),
+    *({"filter_a4_s2": 0.0, "filter_a6_s2": 0.0}, {"filter_a3_s": 0.0, "filter_a4_s2": 0.0}),
     {"filter_a2_s2": 0.0, "filter_a3_s": 0.0, "filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
-    {"filter_a1_s": 0.0, "filter_a2_s2": 0.0},
-    {name: 0.0 for name in vars(FILTER) if name.startswith("filter_")},
-    {"washout_gain_s": 0.0},
-    {"lead_time_1_s": 0.0, "lag_time_1_s": 0.0},
+    *({"filter_a1_s": 0.0, "filter_a2_s2": 0.0}, {name: 0.0 for name in vars(FILTER) if name.startswith("filter_")}),
 ]
 
 
@@ -78,22 +80,16 @@ def network(*machines: SynchronousMachineParameters) -> NetworkCase:
 
 
 def started(machines: Sequence[SynchronousMachineParameters], *events: Event, given=None, **more) -> Simulator:
-    usual = {
-        "case": network(*machines),
-        "groups": (),
-        "simulation_dt": 0.01,
-        "protection": ProtectionParameters(frequency_min_pu=0.9, frequency_max_pu=1.1),
-        "limits": ConverterLimitParameters(),
-    }
-    simulator = Simulator(Plant(**{**usual, **more}), duration_s=120.0)
+    wide = ProtectionParameters(frequency_min_pu=0.9, frequency_max_pu=1.1)
+    usual = {"groups": (), "simulation_dt": 0.01, "protection": wide, "limits": ConverterLimitParameters()}
+    simulator = Simulator(Plant(case=network(*machines), **{**usual, **more}), duration_s=120.0)
     what = scenario(*events, wind=np.zeros((0, 1)), duration_s=120.0, load_noise_bus=3, **(given or {}))
     simulator.start(0, what, ())
     return simulator
 
 
 def advanced(simulator: Simulator, seconds: float) -> Simulator:
-    for _ in range(round(10.0 * seconds)):
-        simulator.advance()
+    recorded(simulator, seconds)
     assert simulator.env_values("status")[0] == 0.0
     return simulator
 
@@ -166,13 +162,11 @@ def test_runs_start_in_an_exact_equilibrium_and_settle(machines, committed, droo
     given = {"committed": committed, "governor_droop": droop}
     simulator = started(machines, LoadStep(time_s=1.0, bus=3, power_mw=20.0), given=given)
     assert largest_rate(simulator) < 1e-9
-    rows = simulator._env_view(0)
-    matrix = state_matrix(rows, simulator.plant, simulator.layout, 1)
-    keep = moving_states(matrix, rows, simulator.layout)
+    matrix, keep = moving_matrix(simulator._env_view(0), simulator.plant, simulator.layout, 1)
     names = [name for name, own in zip(simulator.layout.state_names, keep, strict=True) if own]
     # Copies of what controls set are no states; the second machine has SEXS.
     assert not {"sync0.field_voltage", "sync0.gate", "sync1.gate"} & set(names)
-    assert np.linalg.eigvals(matrix[np.ix_(keep, keep)]).real.max() < 0.0
+    assert np.linalg.eigvals(matrix).real.max() < 0.0
     advanced(simulator, 100.0)
     simulator.evaluate()
     # The droop of both governors together.
@@ -186,12 +180,10 @@ def test_runs_start_in_an_exact_equilibrium_and_settle(machines, committed, droo
 
 
 def test_time_constants_of_zero_take_their_blocks_away():
-    exciter = controls.LeadLagExciterParameters(
-        sensing_time_s=0.0, regulator_time_s=0.0, lead_time_s=0.0, lag_time_s=0.0, regulator_gain=40.0
-    )
-    governor = controls.BoilerGovernorParameters(
-        lag_time_s=0.0, lead_time_s=0.0, pass_time_3_s=0.0, pass_time_4_s=0.0, fraction_3=0.1, fraction_2=0.4
-    )
+    of_exciter = dict.fromkeys(("sensing_time_s", "regulator_time_s", "lead_time_s", "lag_time_s"), 0.0)
+    of_governor = dict.fromkeys(("lag_time_s", "lead_time_s", "pass_time_3_s", "pass_time_4_s"), 0.0)
+    exciter = controls.LeadLagExciterParameters(regulator_gain=40.0, **of_exciter)
+    governor = controls.BoilerGovernorParameters(fraction_3=0.1, fraction_2=0.4, **of_governor)
     simulator = started((dataclasses.replace(FIRST, exciter=exciter, governor=governor), SECOND))
     assert largest_rate(simulator) < 1e-9
     with pytest.raises(ValueError, match="lead_time_s = 1 s needs lag_time_s above 0 s"):
@@ -224,14 +216,7 @@ def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only():
     assert plant.participation == pytest.approx(np.array([0.8, 1.0, 1.0, 0.7, 0.0]) / 3.5)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"governor": dataclasses.replace(BOILER, gate_max_pu=0.2)}, "p.u. of valve, beyond its valve limits 0 … 0.2"),
-        ({"governor": controls.GasGovernorParameters(load_limit_pu=0.3)}, "p.u. of valve, beyond its valve limits"),
-        ({"exciter": dataclasses.replace(EXCITER, regulator_max_pu=1.0)}, "regulator, beyond its regulator limits"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), BEYOND)
 def test_a_start_beyond_limits_is_refused_with_its_reason(changes, message):
     # The one that cannot start is not the first of its kind.
     other = dataclasses.replace(SECOND, exciter=EXCITER, governor=changes.get("governor", BOILER))
@@ -265,14 +250,13 @@ def test_every_model_has_gradients(machines):
 
 def test_a_grid_file_names_every_model(tmp_path):
     for machines in ((FIRST, SECOND), OTHERS):
-        grid, path = Grid(case=network(*machines)), tmp_path / "grid.json"
-        path.write_text(grid_text(grid), encoding="utf-8")
+        grid = Grid(case=network(*machines))
+        path = write(tmp_path / "grid.json", grid_text(grid))
         assert get_grid(str(path)) == grid
     text = path.read_text(encoding="utf-8")
     assert '"model": "IEESGO"' in text and '"model": "STAB1"' in text
-    path.write_text(text.replace("IEESGO", "IEEEX1"), encoding="utf-8")
     with pytest.raises(ValueError, match="unknown model 'IEEEX1'; known here: TGOV1, HYGOV, IEEEG1, IEESGO, GAST"):
-        get_grid(str(path))
+        get_grid(str(write(path, text.replace("IEESGO", "IEEEX1"))))
 
 
 def orders(speed: Callable[[float], float], torque: float, seconds: float) -> np.ndarray:
