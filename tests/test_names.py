@@ -34,6 +34,10 @@ DOORS: dict[str, Callable[[str, Path], object]] = {
     "text": lambda name, path: load_entries(folder(path / "x", toml=f'{TOML}trained_on = "{name}"\n')),
     "submission": lambda name, _: parse_submission(TOML.replace("Mine", name).encode()),
 }
+MISSPELT_ENTRIES = {
+    **{"folder/mine.py": "folder.mine:ENTRY", "folder/mine.py:own": "folder.mine:own"},
+    **{"Coordinated-Tunned": "coordinated-tuned", "fast-drop": "fast-droop", "polices": "policies"},
+}
 MISSPELT = [
     (lambda: get_suite("standrad"), "standard"),
     (lambda: EnvSettings(version="v1", suite="wek-grid-v1"), "weak-grid-v1"),
@@ -48,11 +52,7 @@ MISSPELT = [
     (lambda: get_law("mptt"), "mppt"),
     (lambda: get_law("tuned"), "coordinated-tuned"),
     (lambda: EnvSettings(split="val"), "validation"),
-    (lambda: load_entries("folder/mine.py"), "folder.mine:ENTRY"),
-    (lambda: load_entries("folder/mine.py:own"), "folder.mine:own"),
-    (lambda: load_entries("Coordinated-Tunned"), "coordinated-tuned"),
-    (lambda: load_entries("fast-drop"), "fast-droop"),
-    (lambda: load_entries("polices"), "policies"),
+    *((lambda spec=spec: load_entries(spec), nearest) for spec, nearest in MISSPELT_ENTRIES.items()),
     (lambda: ByName("agent", {"wtg0": 0})["wtg"], "wtg0"),
 ]
 

@@ -29,6 +29,8 @@ from wtg_gym.tasks import V1
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 STUDIES = {path.stem for path in (DOCS / "studies").glob("*.py")}
+#: By how much they move the power of all groups [p.u.].
+ANGLE_STEPS = {"angle-step": 0.181, "angle-step-30": 0.511, "angle-step-forward": -0.54}
 #: Claims whose numbers are rounding.
 LAST_DIGITS = {"coordination", "compatible", "stays-stable"}
 
@@ -155,8 +157,7 @@ def outcome(name: str, law: str) -> tuple[Recording, bool]:
 
 
 def test_every_test_says_where_it_comes_from():
-    for test in GRID_TESTS.values():
-        assert set(test.source.split(", ")) <= set(SOURCES)
+    assert all(set(test.source.split(", ")) <= set(SOURCES) for test in GRID_TESTS.values())
 
 
 def test_a_law_that_sheds_power_survives_a_surplus_and_one_that_cannot_does_not():
@@ -174,9 +175,7 @@ def test_a_source_drags_the_groups_to_its_frequency_and_back():
     assert result.frequency_hz[-1] == pytest.approx(50.0, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("name", "power"), [("angle-step", 0.181), ("angle-step-30", 0.511), ("angle-step-forward", -0.54)]
-)
+@pytest.mark.parametrize(("name", "power"), ANGLE_STEPS.items())
 def test_an_angle_step_is_measured_one_simulation_step_after_it(name, power):
     result, _ = outcome(name, "coordinated-piecewise")
     total, before = result.total(), result.at(2.0)

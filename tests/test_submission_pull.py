@@ -10,10 +10,8 @@ import pytest
 
 SCRIPT = Path(__file__).parent.parent / ".ci" / "submissions"
 
-pytestmark = pytest.mark.skipif(
-    shutil.which("git") is None or shutil.which("bash") is None or sys.platform != "linux",
-    reason="needs git, bash and Linux",
-)
+CAN_RUN = sys.platform == "linux" and shutil.which("git") and shutil.which("bash")
+pytestmark = pytest.mark.skipif(not CAN_RUN, reason="needs git, bash and Linux")
 CHANGES: dict[str, Callable[[Path], object]] = {
     "code": lambda pull: (pull / "code.py").write_text("raise SystemExit\n"),
     "another's policy": lambda pull: (pull / "agents/policies/first/policy.onnx").write_bytes(b"mine"),
@@ -27,10 +25,8 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 def git(folder: Path, *arguments: str) -> str:
     identity = ("-c", "user.name=A", "-c", "user.email=a@example.org", "-c", "init.defaultBranch=main")
-    done = subprocess.run(
-        ["git", *identity, *arguments], cwd=folder, check=True, capture_output=True, text=True, timeout=60
-    )
-    return done.stdout
+    command = ["git", *identity, *arguments]
+    return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, timeout=60).stdout
 
 
 def entry(name: str) -> Callable[[Path], object]:

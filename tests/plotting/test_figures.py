@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -82,17 +83,15 @@ def test_without_an_action_you_are_the_reference(suite):
     same = next(each for each in anchors if each.entry == "coordinated-piecewise")
     assert dataclasses.replace(you, entry=same.entry) == same
     assert [each.entry for each in anchors] == list(suite.task.anchors)
-    for values in match.sample().values():
-        assert np.array_equal(values[OWN], values[REFERENCE])
+    assert all(np.array_equal(values[OWN], values[REFERENCE]) for values in match.sample().values())
 
 
 def test_the_cost_is_the_evaluators(suite):
-    class Held:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            return np.tile([0.3, -0.2], (len(observation), len(suite.plant.groups))), state
+    def held(observation, state=None, **_):
+        return np.tile([0.3, -0.2], (len(observation), len(suite.plant.groups))), state
 
     seeds = list(suite.validation[:3])
-    entry = Entry(name="held", policy=Held(), action_mode="k+tau")
+    entry = Entry(name="held", policy=SimpleNamespace(predict=held), action_mode="k+tau")
     results = evaluate([entry], suite.name, "validation", seeds=seeds, duration_s=_LENGTH_S)
     yours = [_episodes(_played(suite, 0.3, -0.2, seed))[0] for seed in seeds]
     assert [you.metrics for you in yours] == [episode.metrics for episode in results.episodes_of("held")]
