@@ -51,14 +51,9 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
 
 def test_workers_of_the_options_play(capsys, monkeypatch):
     pytest.importorskip("joblib")
-    asked = []
-    real = wtg_gym.cli.scoring.evaluate
-
-    def here(*arguments, workers=None, **named):
-        asked.append(workers)
-        return real(*arguments, **named)
-
-    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", here)
+    asked, real = [], wtg_gym.cli.scoring.evaluate
+    here = "wtg_gym.cli.scoring.evaluate"
+    monkeypatch.setattr(here, lambda *own, workers=None, **named: [asked.append(workers), real(*own, **named)][1])
     assert main(["evaluate", "--suite", "paper", "--entries", "mppt", "--backend", "loky", "--jobs", "3"]) == 0
     assert asked == [Workers("loky", jobs=3)]
 

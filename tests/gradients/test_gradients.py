@@ -124,11 +124,7 @@ def test_a_step_is_replayed_to_the_last_bit(settings, monkeypatch):
         tape.step(own)
     simulator, after = tape.batch.simulator, list[np.ndarray]()
 
-    def kept(blocks: np.ndarray, *others) -> None:
-        pull(blocks, *others)
-        after.append(blocks.copy())
-
-    monkeypatch.setattr("wtg_gym.gradients.tape.pull", kept)
+    monkeypatch.setattr("wtg_gym.gradients.tape.pull", lambda b, *more: [pull(b, *more), after.append(b.copy())])
     carried, terms = np.zeros((NUM_ENVS, tape.n_carried)), np.ones((NUM_ENVS, len(COST_TERMS)))
     for step in range(60):
         tape.pull(step, carried, terms)
@@ -278,12 +274,7 @@ def test_a_plant_at_rest_has_the_slopes_of_the_law_whose_lower_part_goes_on_stra
 def test_the_check_shows_a_wrong_gradient(monkeypatch):
     tape = tape_of()
     right = tape.gradient
-
-    def wrong(*arguments):
-        result = right(*arguments)
-        return result._replace(actions=1.01 * result.actions)
-
-    monkeypatch.setattr(tape, "gradient", wrong)
+    monkeypatch.setattr(tape, "gradient", lambda *own: (found := right(*own))._replace(actions=1.01 * found.actions))
     checked = check_by_differences(tape, drawn(tape), actions_of(tape, 20))
     assert checked[0].error == pytest.approx(np.full(NUM_ENVS, 0.01 / 1.01), rel=1e-2)
     assert (checked[1].error < 1e-5).all()

@@ -83,12 +83,10 @@ def test_files_are_told_apart_by_what_is_in_them_not_by_name_or_time(folder):
 
 
 def test_an_evaluation_of_a_suite_that_is_written_anew_meanwhile_is_refused(folder):
-    def change(*_: object) -> None:
-        (folder / "ring.json").write_text(json.dumps({**STRANGER, "frequency_hz": 50.0}), encoding="utf-8")
-
-    entries = [Entry(name="mppt", strategy="mppt")]
+    ring, anew = folder / "ring.json", json.dumps({**STRANGER, "frequency_hz": 50.0})
+    entries, short = [Entry(name="mppt", strategy="mppt")], {"seeds": [10_000], "duration_s": 5.0}
     with pytest.raises(ValueError, match=r"ring\.json was written anew while it was played"):
-        evaluate(entries, "ring.json", seeds=[10_000], duration_s=5.0, partial="parts", on_progress=change)
+        evaluate(entries, "ring.json", partial="parts", on_progress=lambda *_: write(ring, anew), **short)
     assert len(list((folder / "parts").iterdir())) == 1
 
 
