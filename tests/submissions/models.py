@@ -19,7 +19,6 @@ training_seed = 0
 action_mode = "k+tau"
 environment = "GFMWTG-14bus-v0"
 """
-TOML_V1 = TOML.replace("-v0", "-v1")
 #: Whether an observation is one that the policy knows: `near` (1, 1).
 NEAR = """
 apart = Sub(observation, seen); size = Abs(apart); distance = ReduceSum<keepdims = 1>(size, axis);
