@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from onnx import helper
 
 from tests.submissions.models import WEIGHTS, M, N, after, constant, hidden, make_bytes, model, nodes_of, worker
 from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate
@@ -58,7 +59,7 @@ def gone(pid: int) -> bool:
     return False
 
 
-@pytest.mark.parametrize("name", ["sac-k+tau-0", "ppo-v1-0", "evolution-v1-0"])
+@pytest.mark.parametrize("name", ["sac-k+tau-0", "dagger-v1-0", "evolution-v1-0"])
 def test_answers_are_those_of_onnxruntime_for_one_scenario_whatever_is_beside_it(name):
     import onnxruntime
 
@@ -82,25 +83,34 @@ def test_answers_are_those_of_onnxruntime_for_one_scenario_whatever_is_beside_it
 
 
 #: From the observation to what is multiplied by `weights`, and constants besides.
+WEIGHTS_OF_LSTM = {"W": np.ones((1, 4 * N, N)), "R": np.ones((1, 4 * N, N))}
 TREATS_APART = {
     "columns": ("x = Gather<axis = 1>(observation, back)", {"back": np.arange(N)[::-1]}),
-    "blocks": ("b = Reshape(observation, blocks); x = Reshape(b, flat)", {"blocks": [0, 2, -1], "flat": [0, N]}),
-    "sum": ("s = ReduceSum<keepdims = 1>(observation, one); x = Sub(observation, s)", {"one": [1]}),
-    "twice transposed": ("t = Transpose(observation); x = Transpose(t)", {}),
+    "parts": ("a, b = Split<axis = 1>(observation); x = Concat<axis = -1>(b, a)", {}),
+    "selection": (
+        "a = Slice(observation, low, high, one); x = Concat<axis = 1>(a, a)",
+        {"low": [0], "high": [10], "one": [1]},
+    ),
+    "arithmetic": ("a = Sub(observation, mean); b = Div(a, two); x = Tanh(b)", {"mean": np.ones((1, N)), "two": 2.0}),
+    "LSTM": (
+        "s = Unsqueeze(observation, zero); y, h, c = LSTM<hidden_size = 20>(s, W, R); x = Squeeze(h, zero)",
+        {"zero": [0], **WEIGHTS_OF_LSTM},
+    ),
 }
+BACK = "g = Abs(observation); r = Slice(g, low, high, axis, low); x = Add(observation, r)"
 MIXES = {
     "slice": ("x = Slice(observation, low, high, axis)", {"low": [0], "high": [2**40], "axis": [0]}),
-    "reversed": ("x = Slice(observation, low, high, axis, low)", {"low": [-1], "high": [-(2**40)], "axis": [0]}),
+    "reversed": (BACK, {"low": [-1], "high": [-(2**40)], "axis": [0]}),
     "gathered": ("x = Gather<axis = 0>(observation, back)", {"back": np.arange(16)[::-1]}),
     "mean": ("m = ReduceMean<axes = [0]>(observation); x = Sub(observation, m)", {}),
+    "sums by places": ("s = ReduceSum<keepdims = 1>(observation, one); x = Sub(observation, s)", {"one": [1]}),
     "softmax": ("x = Softmax<axis = 0>(observation)", {}),
-    "running sum": ("x = CumSum(observation, axis)", {"axis": 0}),
     "products": ("t = Transpose(observation); p = MatMul(observation, t); x = MatMul(p, observation)", {}),
     "pairs": (
-        "a = Unsqueeze(observation, zero); b = Unsqueeze(observation, one); d = Sub(a, b); x = ReduceSum(d, one)",
+        "a = Unsqueeze(observation, zero); b = Unsqueeze(observation, one); d = Sub(a, b); x = Squeeze(d, one)",
         {"zero": [0], "one": [1]},
     ),
-    "reshaped": ("t = Transpose(observation); x = Reshape(t, shape)", {"shape": [-1, N]}),
+    "reshaped": ("x = Reshape(observation, shape)", {"shape": [-1, N]}),
     "stacked": (
         "s = Concat<axis = 0>(observation, observation); x = Gather<axis = 0>(s, some)",
         {"some": [*range(16)]},
@@ -111,10 +121,29 @@ MIXES = {
         {"square": np.eye(N), "places": np.arange(16.0 * N).reshape(16, N)},
     ),
     "sequence": (
-        "s = Unsqueeze(observation, one); x, h, c = LSTM<hidden_size = 20>(s, W, R)",
-        {"one": [1], "W": np.ones((1, 4 * N, N)), "R": np.ones((1, 4 * N, N))},
+        "s = Unsqueeze(observation, one); y, h, c = LSTM<hidden_size = 20>(s, W, R); x = Squeeze(h, zero)",
+        {"zero": [0], "one": [1], **WEIGHTS_OF_LSTM},
+    ),
+    "lengths": (
+        "s = Unsqueeze(observation, zero); y, h, c = LSTM<hidden_size = 20>(s, W, R, , n); x = Squeeze(h, zero)",
+        {"zero": [0], "n": np.array([*range(16)], np.int32), **WEIGHTS_OF_LSTM},
     ),
     "random": ("r = RandomNormal<shape = [1, 20]>(); x = Add(observation, r)", {}),
+    "number of rows": ("n = Shape(observation); f = Cast<to = 1>(n); s = ReduceMax(f); x = Mul(observation, s)", {}),
+    # Readers differ in what these mean.
+    "a name twice": (
+        "axis = Constant<value_ints = [1]>(); " + BACK + "; axis = Constant<value_ints = [0]>()",
+        {"low": [-1], "high": [-(2**40)]},
+    ),
+    "a constant that is defined again": (
+        BACK + "; axis = Identity(zero)",
+        {"low": [-1], "high": [-(2**40)], "axis": [1], "zero": [0]},
+    ),
+    "a name before its definition": ("x = Add(observation, r); r = Abs(observation)", {}),
+    "no axes": (
+        "u = Unsqueeze(observation, one); v = Squeeze(u, none); x = Squeeze(v, one)",
+        {"one": [1], "none": np.array([], np.int64)},
+    ),
 }
 
 
@@ -128,6 +157,11 @@ def test_rows_share_a_call_only_where_no_node_mixes_them(name):
 
 def test_what_only_another_reader_sees_is_not_run_for_many_rows():
     visible = make_bytes()
+    for imports in ([("", 17), ("ai.onnx", 13)], [("", 10)]):
+        content = model()
+        del content.opset_import[:]
+        content.opset_import.extend(helper.make_opsetid(*each) for each in imports)
+        assert row_by_row(content.SerializeToString()) is None
     assert row_by_row(visible + hidden(after("action = Tanh(linear)"))) in (None, row_by_row(visible))
 
 

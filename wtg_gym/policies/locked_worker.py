@@ -1,10 +1,10 @@
 """The process in which a policy is played: it gets observations and gives actions, and can do nothing else.
 
 :mod:`wtg_gym.policies.policy_process` runs this file as a script, so it imports nothing of the package. It loads its
-libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime. A graph
-of which :func:`row_by_row` knows that no row of its batch can see another one gets sixteen rows at a time; any other
-one gets a batch of one, each with a session of its own. So nothing goes from one scenario to another. The process never
-learns which scenario is played, and its answers are all that comes out of it.
+libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime. Where
+:func:`row_by_row` knows of every node of its graph that it does not mix the rows of a batch, it gets sixteen rows at a
+time; otherwise it gets a batch of one, each with a session of its own. So nothing goes from one scenario to another.
+The process never learns which scenario is played, and its answers are all that comes out of it.
 """
 
 import ctypes
@@ -29,15 +29,16 @@ _PR_SET_PDEATHSIG = 1
 #: Rows of a call of a graph that treats them apart. It is always the same, with zeros where there are fewer, because
 #: the last bits of a product depend on it.
 _ROWS = 16
-#: Nodes that such a graph may have: those that broadcast, those whose first input alone may differ by row, and others.
-_BROADCAST = (
-    "Abs Add Cast Ceil Clip Cos Div Elu Equal Erf Exp Expand Floor Greater HardSigmoid Identity LeakyRelu Less Log Max "
-    "Min Mul Neg Pow Reciprocal Relu Selu Sigmoid Sign Sin Softplus Softsign Sqrt Sub Tanh Where"
-)
-_FIRST_KINDS = "Flatten Gather Gemm MatMul ReduceMean ReduceSum Reshape Shape Slice Split Squeeze Transpose Unsqueeze"
-_RECURRENT, _CONSTANT = ("LSTM", "GRU"), ("Constant", "ConstantOfShape")
-_ELEMENTWISE, _FIRST_INPUT = frozenset(_BROADCAST.split()), frozenset(_FIRST_KINDS.split())
-_ANY_INPUT = {*_ELEMENTWISE, *_RECURRENT, "Concat"}
+#: Nodes that such a graph may have besides those that :func:`_places` names: of one input, and of two that broadcast.
+_UNARY = {"Abs", "Elu", "Exp", "Identity", "LeakyRelu", "Log", "Neg", "Relu", "Sigmoid", "Softplus", "Sqrt", "Tanh"}
+_BINARY = {"Add", "Div", "Mul", "Pow", "Sub"}
+#: Numbers that rows may be cast to, float and double; and what constants may: a whole one.
+_FLOATS, _WHOLE = (1, 11), 7
+#: Of the standard operators, from which on axes are inputs.
+_OPSET = 13
+#: Rank of a tensor, and the axis along which its rows lie.
+Place = tuple[int, int]
+_ROWS_FIRST, _ROWS_SECOND, _ROWS_THIRD = (2, 0), (3, 1), (4, 2)
 
 
 def main() -> None:
@@ -209,82 +210,118 @@ def _shared_session(content: bytes) -> Any:
 
 
 def row_by_row(content: bytes) -> bytes | None:
-    """Return an .onnx file's graph for so many rows; None unless every node treats each row of the batch apart.
+    """Return an .onnx file's graph for so many rows; None unless it has nothing but nodes that treat rows apart.
 
-    The batch is followed from the inputs through the shapes that onnx infers: every tensor that has rows must have them
-    along one axis, and no node may mix what lies along it.
+    It follows the axis of the rows from the inputs through every node. It believes no shape that the file states and
+    leaves out whatever onnx and onnxruntime could read in two ways: a name that is defined twice or after its use, two
+    sets of operators, old ones, functions, sparse constants, unknown fields.
     """
     import onnx
 
     try:
         model = onnx.load_model_from_string(content)
-        # Another reader might know them.
         model.DiscardUnknownFields()
-        _declare_rows(model.graph, "rows")
-        inferred = onnx.shape_inference.infer_shapes(model, strict_mode=True, data_prop=True)
-        if model.functions or not _treats_rows_apart(inferred.graph):
+        graph, operators = model.graph, [(each.domain, each.version >= _OPSET) for each in model.opset_import]
+        if operators != [("", True)] or model.functions or graph.sparse_initializer or not _treats_rows_apart(graph):
             return None
-        _declare_rows(model.graph, _ROWS)
+        del graph.value_info[:]
+        for value in graph.output:
+            value.type.tensor_type.ClearField("shape")
+        for value in graph.input:
+            value.type.tensor_type.shape.dim[0].dim_value = _ROWS
         return bytes(model.SerializeToString())
-    # onnx's exceptions share no other base.
+    # onnx's exceptions share no other base; what is missing in a node is a KeyError.
     except Exception:
         return None
 
 
-def _declare_rows(graph: Any, n_rows: str | int) -> None:
-    """Set the first axis of a graph's inputs to a number, or a name; what the file says of other shapes is dropped."""
-    del graph.value_info[:]
-    for value in graph.output:
-        value.type.tensor_type.ClearField("shape")
-    for value in graph.input:
-        axis = value.type.tensor_type.shape.dim[0]
-        if isinstance(n_rows, str):
-            axis.dim_param = n_rows
-        else:
-            axis.dim_value = n_rows
-
-
 def _treats_rows_apart(graph: Any) -> bool:
-    """Return whether no node of a graph with inferred shapes, whose batch has a name, mixes rows."""
-    values = (*graph.input, *graph.value_info, *graph.output)
-    shapes = {each.name: [axis.dim_param for axis in each.type.tensor_type.shape.dim] for each in values}
-    shapes |= {each.name: [""] * len(each.dims) for each in graph.initializer}
-    with_rows = {each.name for each in graph.input}
+    """Return whether every node of a graph is known not to mix rows, nor to tell their places."""
+    from onnx.numpy_helper import to_array
+
+    constants = {each.name: to_array(each) for each in graph.initializer}
+    places: dict[str, Place] = {each.name: _ROWS_FIRST for each in graph.input}
+    names = [each.name for each in (*graph.input, *graph.initializer)]
     for node in graph.node:
-        having = {index for index, name in enumerate(node.input) if name in with_rows}
-        if node.domain or not (
-            node.op_type in _ANY_INPUT or (node.op_type in _FIRST_INPUT and having <= {0}) or node.op_type in _CONSTANT
-        ):
+        attributes = {each.name: each for each in node.attribute}
+        inputs = {index: name for index, name in enumerate(node.input) if name}
+        if node.domain or len(attributes) < len(node.attribute):
             return False
-        # The number of rows says nothing of what is in them.
-        if having and node.op_type != "Shape":
-            names = [*(node.input[index] for index in having), *filter(None, node.output)]
-            if any(shapes.get(name, []).count("rows") != 1 for name in names) or not _keeps_rows(node, shapes, having):
+        if any(name not in places and name not in constants for name in inputs.values()):
+            return False
+        if node.op_type == "Constant":
+            constants[node.output[0]] = to_array(attributes["value"].t)
+        elif any(name in places for name in inputs.values()):
+            known = {index: places.get(name, constants.get(name)) for index, name in inputs.items()}
+            following = _places(node.op_type, {name: each.i for name, each in attributes.items()}, known)
+            if not following:
                 return False
-            with_rows.update(filter(None, node.output))
-    return with_rows >= {each.name for each in graph.output}
+            # The parts of a split are alike.
+            places |= dict(zip(node.output, following * len(node.output), strict=False))
+        elif node.op_type == "Cast" and attributes["to"].i == _WHOLE and constants[inputs[0]].dtype.kind == "i":
+            constants[node.output[0]] = constants[inputs[0]]
+        else:
+            return False
+        names += filter(None, node.output)
+    return len(set(names)) == len(names) and all(places.get(each.name) == _ROWS_FIRST for each in graph.output)
 
 
-def _keeps_rows(node: Any, shapes: dict[str, list[str]], having: set[int]) -> bool:
-    """Return whether a node mixes no rows, where the shapes of its tensors allow for it."""
-    attributes = {each.name: each.i for each in node.attribute}
-    inputs = {index: name for index, name in enumerate(node.input) if name}
-    axes = [shapes[inputs[index]].index("rows") for index in sorted(having)]
-    if node.op_type in _ELEMENTWISE:
-        # Broadcasting counts axes from the last one.
-        names = (*(inputs[index] for index in having), node.output[0])
-        return len({shapes[name].index("rows") - len(shapes[name]) for name in names}) == 1
-    if node.op_type in ("Reshape", "Flatten"):
-        return axes == [0] and shapes[node.output[0]][0] == "rows"
-    if node.op_type == "Gemm":
-        # A bias of two axes may have another value for every place.
-        return 2 not in inputs or len(shapes[inputs[2]]) == 1
-    if node.op_type == "Concat":
-        return having == set(inputs) and attributes["axis"] % len(shapes[inputs[0]]) != axes[0]
-    if node.op_type in _RECURRENT:
-        # All but the weights have rows, as the second axis.
-        return having == set(inputs) - {1, 2, 3} and set(axes) == {1} and attributes.get("layout", 0) == 0
-    return True
+def _places(kind: str, attributes: dict[str, int], inputs: dict[int, Any]) -> list[Place]:
+    """Return the places of a node's outputs, or of all alike; none where its kind or its inputs do not fit.
+
+    Inputs are the places of those with rows, and the values of constants.
+    """
+    with_rows = [place for place in inputs.values() if isinstance(place, tuple)]
+    constants = [value for value in inputs.values() if not isinstance(value, tuple)]
+    rank, rows = first = with_rows[0]
+    axis = attributes.get("axis", 0) % rank
+    if kind in _UNARY or (kind == "Cast" and attributes["to"] in _FLOATS):
+        return [first]
+    if kind in _BINARY:
+        # Axes are counted from the last one, and a constant has one number for all rows.
+        numbers = [value.shape[rows - rank] for value in constants if value.ndim >= rank - rows]
+        fits = set(with_rows) == {first} and all(value.ndim <= rank for value in constants)
+        return [first] if fits and all(number == 1 for number in numbers) else []
+    if kind == "Concat":
+        return [first] if set(with_rows) == {first} and not constants and axis != rows else []
+    if kind in ("LSTM", "GRU"):
+        # Weights and biases are constant, first states have rows; there are neither lengths nor peepholes.
+        fits = all((index in (1, 2, 3)) != isinstance(value, tuple) for index, value in inputs.items())
+        fits = fits and inputs.keys() <= {0, 1, 2, 3, 5, 6} and set(with_rows) == {_ROWS_SECOND}
+        return [_ROWS_THIRD, _ROWS_SECOND, _ROWS_SECOND] if fits and not attributes.get("layout") else []
+    # Of all others the first input alone has rows.
+    if len(with_rows) > 1 or inputs.get(0) is not first:
+        return []
+    if kind == "Clip":
+        return [first]
+    if kind == "Gemm":
+        weights, bias = inputs[1], inputs.get(2)
+        fits = first == _ROWS_FIRST and not attributes.get("transA") and weights.ndim == 2
+        return [first] if fits and (bias is None or bias.ndim == 1) else []
+    if kind == "MatMul":
+        return [first] if rows == rank - 2 and inputs[1].ndim == 2 else []
+    if kind == "Flatten":
+        return [first] if first == _ROWS_FIRST and attributes.get("axis", 1) == 1 else []
+    return _moved(kind, axis, first, inputs)
+
+
+def _moved(kind: str, axis: int, place: Place, inputs: dict[int, Any]) -> list[Place]:
+    """Return the places of the outputs of a node that selects along other axes, or adds or takes them away."""
+    rank, rows = place
+    if kind == "Split":
+        return [place] if axis != rows else []
+    if kind == "Slice":
+        return [place] if rows not in {int(each) % rank for each in inputs[3]} else []
+    if kind == "Gather":
+        added = inputs[1].ndim - 1
+        return [(rank + added, rows + added * (axis < rows))] if axis != rows else []
+    if kind == "Unsqueeze":
+        new = {int(each) % (rank + inputs[1].size) for each in inputs[1]}
+        return [(rank + len(new), [each for each in range(rank + len(new)) if each not in new][rows])]
+    if kind == "Squeeze":
+        left = [each for each in range(rank) if each not in {int(taken) % rank for taken in inputs[1]}]
+        return [(len(left), left.index(rows))] if inputs[1].size and rows in left else []
+    return []
 
 
 def _widths(values: Any) -> dict[str, int]:
