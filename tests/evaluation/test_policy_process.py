@@ -82,67 +82,41 @@ def test_answers_are_those_of_onnxruntime_for_one_scenario_whatever_is_beside_it
         assert session.run(["action"], values)[0][0] == pytest.approx(answers[row], abs=1e-6)
 
 
+AXES = {"zero": [0], "one": [1]}
+LSTM = "; y, h, c = LSTM<hidden_size = 20>(s, W, R); x = Squeeze(h, zero)"
+WEIGHTS_OF_LSTM = {**AXES, "W": np.ones((1, 4 * N, N)), "R": np.ones((1, 4 * N, N))}
 #: From the observation to what is multiplied by `weights`, and constants besides.
-WEIGHTS_OF_LSTM = {"W": np.ones((1, 4 * N, N)), "R": np.ones((1, 4 * N, N))}
 TREATS_APART = {
     "columns": ("x = Gather<axis = 1>(observation, back)", {"back": np.arange(N)[::-1]}),
     "parts": ("a, b = Split<axis = 1>(observation); x = Concat<axis = -1>(b, a)", {}),
-    "selection": (
-        "a = Slice(observation, low, high, one); x = Concat<axis = 1>(a, a)",
-        {"low": [0], "high": [10], "one": [1]},
-    ),
+    "selection": ("x = Slice(observation, low, high, one)", {"low": [0], "high": [N], "one": [1]}),
     "arithmetic": ("a = Sub(observation, mean); b = Div(a, two); x = Tanh(b)", {"mean": np.ones((1, N)), "two": 2.0}),
-    "LSTM": (
-        "s = Unsqueeze(observation, zero); y, h, c = LSTM<hidden_size = 20>(s, W, R); x = Squeeze(h, zero)",
-        {"zero": [0], **WEIGHTS_OF_LSTM},
-    ),
+    "LSTM": ("s = Unsqueeze(observation, zero)" + LSTM, WEIGHTS_OF_LSTM),
 }
 BACK = "g = Abs(observation); r = Slice(g, low, high, axis, low); x = Add(observation, r)"
+PLACES = {"places": np.arange(16.0 * N).reshape(16, N)}
 MIXES = {
-    "slice": ("x = Slice(observation, low, high, axis)", {"low": [0], "high": [2**40], "axis": [0]}),
     "reversed": (BACK, {"low": [-1], "high": [-(2**40)], "axis": [0]}),
     "gathered": ("x = Gather<axis = 0>(observation, back)", {"back": np.arange(16)[::-1]}),
-    "mean": ("m = ReduceMean<axes = [0]>(observation); x = Sub(observation, m)", {}),
-    "sums by places": ("s = ReduceSum<keepdims = 1>(observation, one); x = Sub(observation, s)", {"one": [1]}),
     "softmax": ("x = Softmax<axis = 0>(observation)", {}),
     "products": ("t = Transpose(observation); p = MatMul(observation, t); x = MatMul(p, observation)", {}),
-    "pairs": (
-        "a = Unsqueeze(observation, zero); b = Unsqueeze(observation, one); d = Sub(a, b); x = Squeeze(d, one)",
-        {"zero": [0], "one": [1]},
-    ),
-    "reshaped": ("x = Reshape(observation, shape)", {"shape": [-1, N]}),
-    "stacked": (
-        "s = Concat<axis = 0>(observation, observation); x = Gather<axis = 0>(s, some)",
-        {"some": [*range(16)]},
-    ),
-    "numbers of places": ("x = Add(observation, places)", {"places": np.arange(16.0 * N).reshape(16, N)}),
-    "biases of places": (
-        "x = Gemm(observation, square, places)",
-        {"square": np.eye(N), "places": np.arange(16.0 * N).reshape(16, N)},
-    ),
-    "sequence": (
-        "s = Unsqueeze(observation, one); y, h, c = LSTM<hidden_size = 20>(s, W, R); x = Squeeze(h, zero)",
-        {"zero": [0], "one": [1], **WEIGHTS_OF_LSTM},
-    ),
+    "pairs": ("a = Unsqueeze(observation, zero); b = Unsqueeze(observation, one); x = Sub(a, b)", AXES),
+    "stacked": ("x = Concat<axis = 0>(observation, observation)", {}),
+    "numbers of places": ("x = Add(observation, places)", PLACES),
+    "biases of places": ("x = Gemm(observation, square, places)", {"square": np.eye(N), **PLACES}),
+    "sequence": ("s = Unsqueeze(observation, one)" + LSTM, WEIGHTS_OF_LSTM),
     "lengths": (
         "s = Unsqueeze(observation, zero); y, h, c = LSTM<hidden_size = 20>(s, W, R, , n); x = Squeeze(h, zero)",
-        {"zero": [0], "n": np.array([*range(16)], np.int32), **WEIGHTS_OF_LSTM},
+        {"n": np.arange(16, dtype=np.int32), **WEIGHTS_OF_LSTM},
     ),
     "random": ("r = RandomNormal<shape = [1, 20]>(); x = Add(observation, r)", {}),
     "number of rows": ("n = Shape(observation); f = Cast<to = 1>(n); s = ReduceMax(f); x = Mul(observation, s)", {}),
     # Readers differ in what these mean.
-    "a name twice": (
-        "axis = Constant<value_ints = [1]>(); " + BACK + "; axis = Constant<value_ints = [0]>()",
-        {"low": [-1], "high": [-(2**40)]},
-    ),
-    "a constant that is defined again": (
-        BACK + "; axis = Identity(zero)",
-        {"low": [-1], "high": [-(2**40)], "axis": [1], "zero": [0]},
-    ),
+    "a name twice": ("x = Tanh(observation); x = Tanh(x)", {}),
     "a name before its definition": ("x = Add(observation, r); r = Abs(observation)", {}),
     "no axes": (
         "u = Unsqueeze(observation, one); v = Squeeze(u, none); x = Squeeze(v, one)",
-        {"one": [1], "none": np.array([], np.int64)},
+        {"none": np.array([], np.int64), **AXES},
     ),
 }
 
