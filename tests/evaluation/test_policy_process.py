@@ -82,7 +82,7 @@ def test_answers_are_those_of_onnxruntime_for_one_scenario_whatever_is_beside_it
         assert session.run(["action"], values)[0][0] == pytest.approx(answers[row], abs=1e-6)
 
 
-AXES = {"zero": [0], "one": [1]}
+AXES = {"zero": [0], "one": [1], "none": np.array([], np.int64)}
 LSTM = "; y, h, c = LSTM<hidden_size = 20>(s, W, R); x = Squeeze(h, zero)"
 WEIGHTS_OF_LSTM = {**AXES, "W": np.ones((1, 4 * N, N)), "R": np.ones((1, 4 * N, N))}
 #: From the observation to what is multiplied by `weights`, and constants besides.
@@ -105,6 +105,7 @@ MIXES = {
     "numbers of places": ("x = Add(observation, places)", PLACES),
     "biases of places": ("x = Gemm(observation, square, places)", {"square": np.eye(N), **PLACES}),
     "sequence": ("s = Unsqueeze(observation, one)" + LSTM, WEIGHTS_OF_LSTM),
+    "no sequence": ("u = Unsqueeze(observation, zero); s = Slice(u, zero, zero, zero)" + LSTM, WEIGHTS_OF_LSTM),
     "lengths": (
         "s = Unsqueeze(observation, zero); y, h, c = LSTM<hidden_size = 20>(s, W, R, , n); x = Squeeze(h, zero)",
         {"n": np.arange(16, dtype=np.int32), **WEIGHTS_OF_LSTM},
@@ -114,10 +115,7 @@ MIXES = {
     # Readers differ in what these mean.
     "a name twice": ("x = Tanh(observation); x = Tanh(x)", {}),
     "a name before its definition": ("x = Add(observation, r); r = Abs(observation)", {}),
-    "no axes": (
-        "u = Unsqueeze(observation, one); v = Squeeze(u, none); x = Squeeze(v, one)",
-        {"none": np.array([], np.int64), **AXES},
-    ),
+    "no axes": ("u = Unsqueeze(observation, one); v = Squeeze(u, none); x = Squeeze(v, one)", AXES),
 }
 
 
@@ -130,7 +128,10 @@ def test_rows_share_a_call_only_where_no_node_mixes_them(name):
 
 
 def test_what_only_another_reader_sees_is_not_run_for_many_rows():
-    visible = make_bytes()
+    visible, content = make_bytes(), model(nodes_of("axis = Constant<value_ints = [1]>(); action = Clip(observation)"))
+    content.graph.node[0].attribute[0].name = "value"
+    content.graph.node[0].attribute[0].t.CopyFrom(constant("", [0]))
+    assert row_by_row(content.SerializeToString()) is None
     for imports in ([("", 17), ("ai.onnx", 13)], [("", 10)]):
         content = model()
         del content.opset_import[:]

@@ -31,7 +31,7 @@ _PR_SET_PDEATHSIG = 1
 _ROWS = 16
 #: Nodes that such a graph may have besides those that :func:`_places` names: of one input, and of two that broadcast.
 _UNARY = {"Abs", "Elu", "Exp", "Identity", "LeakyRelu", "Log", "Neg", "Relu", "Sigmoid", "Softplus", "Sqrt", "Tanh"}
-_BINARY = {"Add", "Div", "Mul", "Pow", "Sub"}
+_BINARY, _RECURRENT = {"Add", "Div", "Mul", "Pow", "Sub"}, {"LSTM", "GRU"}
 #: Numbers that rows may be cast to, float and double; and what constants may: a whole one.
 _FLOATS, _WHOLE = (1, 11), 7
 #: Of the standard operators, from which on axes are inputs.
@@ -237,11 +237,12 @@ def row_by_row(content: bytes) -> bytes | None:
 
 def _treats_rows_apart(graph: Any) -> bool:
     """Return whether every node of a graph is known not to mix rows, nor to tell their places."""
+    from onnx import AttributeProto
     from onnx.numpy_helper import to_array
 
     constants = {each.name: to_array(each) for each in graph.initializer}
     places: dict[str, Place] = {each.name: _ROWS_FIRST for each in graph.input}
-    names = [each.name for each in (*graph.input, *graph.initializer)]
+    names, steps = [each.name for each in (*graph.input, *graph.initializer)], set[str]()
     for node in graph.node:
         attributes = {each.name: each for each in node.attribute}
         inputs = {index: name for index, name in enumerate(node.input) if name}
@@ -250,12 +251,20 @@ def _treats_rows_apart(graph: Any) -> bool:
         if any(name not in places and name not in constants for name in inputs.values()):
             return False
         if node.op_type == "Constant":
+            # Of several, or of one with two values, onnxruntime might take another one.
+            if len(attributes) > 1 or attributes["value"].type != AttributeProto.TENSOR:
+                return False
             constants[node.output[0]] = to_array(attributes["value"].t)
         elif any(name in places for name in inputs.values()):
+            # Sequences of one step alone: an empty one leaves memory as it was.
+            if node.op_type in _RECURRENT and inputs[0] not in steps:
+                return False
             known = {index: places.get(name, constants.get(name)) for index, name in inputs.items()}
             following = _places(node.op_type, {name: each.i for name, each in attributes.items()}, known)
             if not following:
                 return False
+            if node.op_type == "Unsqueeze" and known[0] == _ROWS_FIRST and following == [_ROWS_SECOND]:
+                steps.add(node.output[0])
             # The parts of a split are alike.
             places |= dict(zip(node.output, following * len(node.output), strict=False))
         elif node.op_type == "Cast" and attributes["to"].i == _WHOLE and constants[inputs[0]].dtype.kind == "i":
@@ -284,7 +293,7 @@ def _places(kind: str, attributes: dict[str, int], inputs: dict[int, Any]) -> li
         return [first] if fits and all(number == 1 for number in numbers) else []
     if kind == "Concat":
         return [first] if set(with_rows) == {first} and not constants and axis != rows else []
-    if kind in ("LSTM", "GRU"):
+    if kind in _RECURRENT:
         # Weights and biases are constant, first states have rows; there are neither lengths nor peepholes.
         fits = all((index in (1, 2, 3)) != isinstance(value, tuple) for index, value in inputs.items())
         fits = fits and inputs.keys() <= {0, 1, 2, 3, 5, 6} and set(with_rows) == {_ROWS_SECOND}
