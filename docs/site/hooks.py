@@ -4,6 +4,7 @@
 - A link to another file of the repository leads to the repository's address; while that is unknown, it is text, as is
   one to an address that a release fills in.
 - A link that `<!-- include -->` follows, to a heading of README.md, becomes that section: the README says it once.
+- `<!-- include FILE.py -->` becomes the program beside the page.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ _LINK = re.compile(
     r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)", flags=re.MULTILINE | re.DOTALL
 )
 _INCLUDED = re.compile(r"^.*\]\(\.\./README\.md#([\w-]+)\) *<!-- include -->$", flags=re.MULTILINE)
+_PROGRAM = re.compile(r"^<!-- include (\w+\.py) -->$", flags=re.MULTILINE)
 
 
 def section(text: str, anchor: str, title: str) -> str:
@@ -97,6 +99,8 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
     known = frozenset(file.src_uri for file in files if file.inclusion.is_included())
     repository = (config.extra["repository"] or "").rstrip("/")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    beside = ROOT / posixpath.dirname(source)
+    text = _PROGRAM.sub(lambda name: f"```python\n{(beside / name[1]).read_text(encoding='utf-8')}```", text)
     # Every second part is the anchor of a section.
     parts = _INCLUDED.split(text)
     parts[0::2] = [rewritten(part, here, source, repository, known) for part in parts[0::2]]
