@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 from output import folder as output_folder
@@ -138,7 +137,7 @@ def no_shortcut() -> Row:
     validation = suite.seeds("validation")[:N_SEARCHED]
     scores = evaluate([clock, LAW], SUITE, "validation", seeds=validation, batch=N_SEARCHED).scores
     gain = scores["clock"].value - scores[LAW].value
-    demand = "the best clock, constants among them, earns less than 1 point over the law beneath"
+    demand = "the best clock that a search finds, constants among them, earns less than 1 point over the law beneath"
     return "no shortcut", demand, f"{gain:+.1f} over {LAW}", verdict(gain < 1.0)
 
 
@@ -148,14 +147,17 @@ def winnable() -> Row:
     scenarios = batch.scenarios(suite.train[:N_SEARCHED])
     _, deviations = play_course(batch, scenarios, np.zeros((N_SEARCHED, 2, batch.n_action)))
     bad = [scenario for scenario, hz in zip(scenarios, deviations, strict=True) if hz > 0.8]
-    # The last event comes at 60 s.
-    batch = EnvBatch(replace(SEARCHED, duration_s=90.0), len(bad) * POPULATION)
-    scenarios = batch.scenarios([scenario.seed for scenario in bad for _ in range(POPULATION)])
+    scenarios, batch = (
+        [scenario for scenario in bad for _ in range(POPULATION)],
+        EnvBatch(SEARCHED, len(bad) * POPULATION),
+    )
     searches = [Search(np.zeros((N_KNOTS, batch.n_action)), 0.35, POPULATION, scenario.seed) for scenario in bad]
     best = np.full(len(bad), np.inf)
     for _ in range(25):
         candidates = [search.ask() for search in searches]
         knots = np.reshape(candidates, (-1, N_KNOTS, batch.n_action))
+        # The last event comes at 60 s: in the second half of the run the law is alone.
+        knots = np.concatenate([knots, np.zeros_like(knots)], axis=1)
         hz = play_course(batch, scenarios, knots)[1].reshape(len(bad), POPULATION)
         for search, of_search, values in zip(searches, candidates, hz, strict=True):
             search.tell(of_search, values)

@@ -105,7 +105,10 @@ def info():
     rows = [(f"`{key}`", meaning) for key, _, meaning in (*declared(Info), *declared(LocalInfo))]
     terms = ", ".join(COST_TERMS)
     rows += [
-        ("`cost_…`", f"[cost of this step](benchmark.md#the-cost): {terms} (in v1 load not served is in it)"),
+        (
+            "`cost_…`",
+            f"[cost of this step](benchmark.md#the-cost): {terms} (in v1 `cost_failure` includes load not served)",
+        ),
         ("`scenario_seed`", "its seed, else −1"),
         ("`reserve_margin`", "[reserve margin](benchmark.md#strata); in drawn suites of v1"),
         ("`termination_reason`", "why the episode was terminated, else empty"),

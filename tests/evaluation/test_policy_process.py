@@ -15,7 +15,7 @@ from onnx import helper
 
 from tests.submissions.models import WEIGHTS, M, N, after, constant, hidden, make_bytes, model, nodes_of, worker
 from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate
-from wtg_gym.policies import policy_process
+from wtg_gym.policies import locked_worker, policy_process
 from wtg_gym.policies.locked_worker import row_by_row
 from wtg_gym.policies.policy_process import NotIsolatedError, PolicyProcess
 
@@ -64,7 +64,7 @@ def test_answers_are_those_of_onnxruntime_for_one_scenario_whatever_is_beside_it
     import onnxruntime
 
     content = (ROOT / "agents/policies" / name / "policy.onnx").read_bytes()
-    assert row_by_row(content) is not None
+    assert locked_worker._Served(content)._shared is not None
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     with opened(content) as policy:
         rng, (n_observation, _, *widths) = np.random.default_rng(0), policy.widths
@@ -128,6 +128,7 @@ def test_rows_share_a_call_only_where_no_node_mixes_them(name):
 
 
 def test_what_only_another_reader_sees_is_not_run_for_many_rows():
+    assert row_by_row(make_bytes()) is not None
     visible, content = make_bytes(), model(nodes_of("axis = Constant<value_ints = [1]>(); action = Clip(observation)"))
     content.graph.node[0].attribute[0].name = "value"
     content.graph.node[0].attribute[0].t.CopyFrom(constant("", [0]))

@@ -22,7 +22,7 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
     `Box(-1, 1, (n_wtg · n_modes,), float32)`: k of group 1, its τ, k of group 2, … (`action_names`); an offset on k (at
     ±1 half of K_opt - K_pr) and a factor on τ (at ±1 four times or a quarter, in v1 twice or half). Zero leaves the
     control law `strategy` unchanged, to the last bit; its default is the published law. Actions outside -1 … 1 are
-    clipped.
+    clipped; one that is not finite raises a ValueError.
 
     ## Observation Space
     `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation and its rate of change

@@ -57,7 +57,7 @@ class EnvSettings:
             `"trip"` disconnects its group, default of v1.
         sensors: v1 only. `"exact"`, or values of :class:`~wtg_gym.scenarios.draws.SensorDistribution` to
             replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`; delays are multiples of 0.1 s up to 1 s.
-            Default: those of the `scenario`, else of the suite.
+            Default: those of the `scenario`, else of the suite. A scenario with sensors of its own is refused then.
         version: `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
     """
 

@@ -61,7 +61,7 @@ def refresh_network(block: Floats, x: int, env: int, network: Network, data: Bat
     """Kron-reduce the network of one environment as it is from its present step on, and note when it changes next.
 
     Units and governors that events take away are switched off, and sources are moved. Load ramps are staircases:
-    constant over a control interval at the value of its middle. So is the conductance of loads that depend on the
+    constant until the next change, at the value of the middle. So is the conductance of loads that depend on the
     frequency, at that of its beginning.
     """
     facts, events, rows = network.facts, data.events[env], _rows_of(block, x, network.facts)

@@ -230,7 +230,7 @@ def row_by_row(content: bytes) -> bytes | None:
         for value in graph.input:
             value.type.tensor_type.shape.dim[0].dim_value = _ROWS
         return bytes(model.SerializeToString())
-    # onnx's exceptions share no other base; what is missing in a node is a KeyError.
+    # Whatever a node lacks, or a file breaks: rows are played one by one.
     except Exception:
         return None
 
