@@ -153,6 +153,13 @@ class JoinedPolicy(nn.Module):
 EvolvedPolicy = GradientPolicy | JoinedPolicy
 
 
+def largest_deviations_hz(batch: EnvBatch) -> Floats:
+    """Return how far the frequency of the centre of inertia has been from nominal in each environment (num_envs,)."""
+    lowest, highest = (batch.simulator.env_values(name) for name in ("coi_min", "coi_max"))
+    deviations: Floats = batch.nominal_hz * np.maximum(1.0 - lowest, highest - 1.0)
+    return deviations
+
+
 class Population:
     """Candidates that play the same training scenarios side by side."""
 
@@ -181,9 +188,7 @@ class Population:
         offsets = np.array([batch.suite.cost_offset(scenario) for scenario in scenarios])
         costs = batch.cost_sums().sum(axis=1).reshape(self._shape)
         values = np.log(costs + offsets) / (batch.suite.task.scale or 1.0)
-        lowest, highest = (batch.simulator.env_values(name) for name in ("coi_min", "coi_max"))
-        deviation_hz = batch.nominal_hz * np.maximum(1.0 - lowest, highest - 1.0)
-        near = np.clip((deviation_hz - _NEAR_HZ) / (2.0 * (_BEYOND_HZ - _NEAR_HZ)), 0.0, 1.0)
+        near = np.clip((largest_deviations_hz(batch) - _NEAR_HZ) / (2.0 * (_BEYOND_HZ - _NEAR_HZ)), 0.0, 1.0)
         bad = np.where(batch.ended()[0], 1.0, near).reshape(self._shape)
         objectives: Floats = (values + 0.01 * self._reliability * bad).mean(axis=1)
         return objectives

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from output import folder as output_folder
 
-from agents.evolution import Search
+from agents.evolution import Search, largest_deviations_hz
 from agents.planner import Course, PlannerOptions, planned
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
@@ -116,9 +116,7 @@ def play_course(batch: EnvBatch, scenarios: list[Scenario], knots: np.ndarray) -
     batch.start(range(len(scenarios)), scenarios)
     for actions in course(knots, batch.n_steps_of_episode):
         batch.step(np.ascontiguousarray(actions))
-    lowest, highest = (batch.simulator.env_values(name) for name in ("coi_min", "coi_max"))
-    deviations = batch.nominal_hz * np.maximum(1.0 - lowest, highest - 1.0)
-    return batch.cost_sums().sum(axis=1), np.where(batch.ended()[0], 3.0, deviations)
+    return batch.cost_sums().sum(axis=1), np.where(batch.ended()[0], 3.0, largest_deviations_hz(batch))
 
 
 def no_shortcut() -> Row:
