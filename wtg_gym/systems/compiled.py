@@ -8,8 +8,9 @@ which begins with a checksum over its key and its content. A file that is missin
 as missing: numba compiles again, and the file is replaced. Machine code is run, so files and folders that another user
 could have changed are not used either (:func:`wtg_gym.files.read_trusted`).
 
-A wheel may bring machine code for a kind of processor, such as x86-64-v3, made by `.ci/machine_code`. Where this one is
-of that kind, and Python and numba are those that the code was made with, nothing is compiled; the bits are the same.
+A wheel brings machine code (`.ci/wheel.py`) for the processor that built it or for a kind of processors, such as
+x86-64-v3. Where this one is of that kind, and Python and numba are those that the code was made with, nothing is
+compiled; the bits are the same.
 
 Compiling takes some fifteen seconds, so it is reported: in a terminal by a line that moves and goes away; elsewhere the
 logger "wtg_gym" warns once, with the folder. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences both.
@@ -93,11 +94,11 @@ Processor = tuple[str, str, str]
 
 
 def shipped_for(processor: Processor) -> list[Processor]:
-    """Return which kinds of processor a wheel has code for that runs on this one, as numba tells them."""
+    """Return processors, as numba tells them, that a wheel may have code for which runs on this one."""
     if not SHIPPED.is_dir():
         return []
     has = llvmlite.binding.get_host_cpu_features()
-    return [(processor[0], name, "") for name, needed in KINDS.items() if all(map(has.get, needed))]
+    return [processor, *((processor[0], name, "") for name, needed in KINDS.items() if all(map(has.get, needed)))]
 
 
 def kept(path: Path | None, key: bytes) -> bytes | None:
