@@ -35,9 +35,9 @@ _AT_ONCE = 120
 def gains_of(name, seeds):
     """Return the gains of the variates over the law that scores 100, (n_scenarios, n_laws)."""
     settings, suite = EnvSettings(suite=name, split="train"), get_suite(name)
-    costs = {}
+    scenarios, costs = suite.scenarios(seeds), {}
     for law in dict.fromkeys((suite.task.hundred, *suite.task.variates)):
-        episodes = play_batch(Entry(name=law, strategy=law), settings, seeds, 1)
+        episodes = play_batch(Entry(name=law, strategy=law), settings, scenarios, 1)
         if isinstance(episodes, PolicyError):
             raise episodes
         costs[law] = pinned_costs([episodes], None)[0]

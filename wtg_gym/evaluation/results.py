@@ -282,10 +282,12 @@ def leaderboard_rows(results: Results) -> list[summary.EntrySummary]:
 
 
 def markdown_section(results: Results, *, details: bool = False) -> str:
-    """Return the ranking for a page: in detail, or with a sentence on the frequency and without what scores below 0."""
+    """Return the ranking for a page: in detail, or with a sentence on the frequency and without what is below the law at 0."""
     rows = results.ranking
     short = not details and results.task.version != "v0"
-    below = [row for row in rows if short and row.score is not None and row.score.value < 0.0]
+    # By Λ that law's score is 0, but for rounding.
+    least = next((row.score.value for row in rows if row.name == results.task.zero and row.score), 0.0)
+    below = [row for row in rows if short and row.score is not None and row.score.value < least]
     shown = [row for row in rows if row not in below]
     named = f"below {results.task.zero}: {', '.join(f'`{row.name}`' for row in below)}" if below else ""
     notes = " ".join(f"{note[0].upper()}{note[1:]}." for note in (*results.notes, named) if note)
