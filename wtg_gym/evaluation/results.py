@@ -282,7 +282,7 @@ def leaderboard_rows(results: Results) -> list[summary.EntrySummary]:
 
 
 def markdown_section(results: Results, *, details: bool = False) -> str:
-    """Return the ranking for a page: in detail, or with a sentence on the frequency and without what is below the law at 0."""
+    """Return the ranking for a page: in detail, or with a sentence on the frequency and only down to the law at 0."""
     rows = results.ranking
     short = not details and results.task.version != "v0"
     # By Λ that law's score is 0, but for rounding.
