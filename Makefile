@@ -115,7 +115,7 @@ format: $(TEST_READY) ## Format the code and mend what can be mended by itself
 
 .PHONY: clean
 clean: ## Remove the environments, caches and built files; results stay
-	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(SITE_VENV) $(NOTEBOOKS_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
+	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(SITE_VENV) $(NOTEBOOKS_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist wtg_gym/machine_code
 	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
 $(LEADERBOARD_READY): EXTRA := leaderboard

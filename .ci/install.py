@@ -32,6 +32,9 @@ def main(arguments: list[str]) -> int:
     configured = subprocess.run([*PIP, "config", "get", "global.find-links"], capture_output=True, text=True).stdout
     folders = os.environ.get("PIP_FIND_LINKS") or configured
     environment = {"UV_FIND_LINKS": ",".join(folders.split()), **os.environ}
+    if {"-e", "--editable"} & set(arguments):
+        # Its build compiles nothing, and needs no packages for that.
+        environment.setdefault("WTG_GYM_PROCESSOR", "none")
     pinned = ["--python", sys.executable, "--constraints", PINS, "--build-constraints", PINS]
     if not arguments[-1].endswith(".whl"):
         # The checkout and the sdist are built.

@@ -33,7 +33,7 @@ def warmup() -> int:
     done, folder = compilation(), cache_folder()
     where = "not kept, since no folder can be written to" if folder is None else f"kept in {folder}"
     if done.n_functions == 0:
-        say(f"nothing to compile: all machine code is in {folder}")
+        say(f"nothing to compile: machine code came with the package or is in {folder}")
     else:
         say(f"functions compiled: {done.n_functions}, in {done.seconds:.0f} s; {where}")
     return 0
