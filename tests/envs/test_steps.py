@@ -4,12 +4,14 @@ import itertools
 
 import numpy as np
 import pytest
+from gymnasium.utils.seeding import np_random
 
 from tests.envs import rollouts
 from tests.envs.rollouts import ACTION_MODES, VERSIONS, actions_of, calm, episode, eventful
 from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, GroupTrip, LoadStep, Scenario, get_suite, simulate
 from wtg_gym.envs import CostWeights
 from wtg_gym.physics.grid import DEFAULT_GRID
+from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.tracking_law import LAWS
 from wtg_gym.scenarios import SUITES
 from wtg_gym.scenarios.draws import SensorDistribution
@@ -231,3 +233,34 @@ def test_returned_arrays_are_not_overwritten_by_later_steps():
     before = observation.tobytes(), dict(info)
     env.step(np.ones(4))
     assert (observation.tobytes(), info) == before
+
+
+def test_episodes_prepared_together_are_those_that_the_generator_draws():
+    # With machines of so little voltage some scenarios cannot start.
+    protection = ProtectionParameters(internal_voltage_max_pu=1.32)
+    settings = {
+        "version": "v0",
+        "duration_s": 5.0,
+        "plant": get_suite("standard").plant.replaced(protection=protection),
+    }
+    env, one_by_one = GFMWTGEnv(**settings), GFMWTGVectorEnv(1, **settings)
+
+    def play(environment, seed) -> list[tuple[int, int, bytes]]:
+        results = []
+        for episode_seed in (seed, *[None] * 20):
+            observation, info = environment.reset(seed=episode_seed)
+            counted = environment.batch.redrawn[0]
+            results.append((int(np.ravel(info["scenario_seed"])[0]), int(counted), observation.tobytes()))
+        return results
+
+    together = play(env, 3)
+    assert together == play(one_by_one, 3)
+    redrawn = together[-1][1]
+    assert 3 < redrawn < 100
+    generator, _ = np_random(3)
+    before = generator.bit_generator.state
+    drawn = [env.batch.draw_seed(generator) for _ in range(21 + redrawn)]
+    assert drawn[-1] == together[-1][0] and env.np_random.bit_generator.state == generator.bit_generator.state
+    # A generator that is set back draws the same episodes again.
+    env.np_random.bit_generator.state = before
+    assert [(seed, values) for seed, _, values in play(env, None)] == [(seed, values) for seed, _, values in together]

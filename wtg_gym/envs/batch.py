@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +41,7 @@ _MOST_DRAWS = 200
 _BLOCKS_PER_EPISODE = 10
 
 
+Started = TypeVar("Started")
 #: Arrays with one row per environment: the outputs, then seeds, reserve margins and events, see :class:`EnvBatch`.
 Rows = tuple[npt.NDArray[Any], ...]
 
@@ -91,8 +92,8 @@ class EnvBatch:
         self.task_data = task_data(settings.task, settings.choices, self.simulator.layout, settings.n_intervals, points)
         #: Control steps of an episode.
         self.n_steps_of_episode = whole_steps("duration_s", self.duration_s, settings.step_s, "control step")
-        #: The law that scores 100, whose costs rewards are compared with.
-        self._reference: EnvBatch | None = None
+        #: Episodes under the law that scores 100, whose costs rewards are compared with, by how many play at once.
+        self._references: dict[int, EnvBatch] = {}
         self._check_time_constants()
         self._check_draws()
         acts = zip(("k", "tau"), episode.ACTION_MODES[settings.action_mode], strict=True)
@@ -173,11 +174,17 @@ class EnvBatch:
         for distribution in self.suite.distributions:
             distribution.check_turbines(self.n_turbines)
 
+    def draw_seed(self, rng: np.random.Generator) -> int:
+        """Return the seed of the next episode's scenario; -1 where all episodes have the same."""
+        return -1 if self._fixed is not None else int(rng.integers(self._seeds.start, self._seeds.stop))
+
     def draw(self, rngs: Sequence[np.random.Generator]) -> list[Scenario]:
         """Return the next episode's scenario of every generator."""
-        if self._fixed is not None:
-            return [self._fixed] * len(rngs)
-        return self.scenarios([int(rng.integers(self._seeds.start, self._seeds.stop)) for rng in rngs])
+        return self.drawn_scenarios([self.draw_seed(rng) for rng in rngs])
+
+    def drawn_scenarios(self, seeds: Sequence[int]) -> list[Scenario]:
+        """Return the scenarios of seeds from :meth:`draw_seed`."""
+        return self.scenarios(seeds) if self._fixed is None else [self._fixed] * len(seeds)
 
     def scenarios(self, seeds: Sequence[int]) -> list[Scenario]:
         """Return the suite's scenarios of seeds, for this plant and episode length."""
@@ -217,36 +224,40 @@ class EnvBatch:
         n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in durations])
         outputs = self._start_tasks(prepared, scenarios, n_steps)
         if self.settings.scores:
-            if self._reference is None:
-                changes: dict[str, Any] = {"observation_mode": "local", "reward": "cost", "duration_s": self.duration_s}
-                settings = replace(self.settings, strategy=self.settings.task.hundred, **changes)
-                num_envs, n_threads = min(self.num_envs, EPISODES_AT_ONCE), self.simulator.threads.n_threads
-                self._reference = EnvBatch(settings, num_envs, n_threads)
-            # What the law that scores 100 has cost up to each control step.
-            for first in range(0, len(scenarios), self._reference.num_envs):
-                part = scenarios[first : first + self._reference.num_envs]
-                self._reference.start(range(len(part)), part)
-                self._reference.play_costs(outputs.reference[first : first + len(part)])
+            self._play_reference(scenarios, outputs.reference)
             outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         seeds = np.array([-1 if scenario.seed is None else scenario.seed for scenario in scenarios], dtype=np.int64)
         margins = np.array([self.suite.margin(scenario, plant) for scenario in scenarios])
         events = _objects([tuple(sorted(each.events, key=lambda event: event.time_s)) for each in scenarios])
         return PreparedEpisodes(prepared, (*outputs, seeds, margins, events))
 
-    def next_episode(self, rng: np.random.Generator, env: int, scenario: Scenario | None = None) -> PreparedEpisodes:
-        """Return an environment's next episode: the first that starts of the scenarios that its generator draws.
+    def _play_reference(self, scenarios: Sequence[Scenario], costs: Floats) -> None:
+        """Write what the law that scores 100 has cost up to each control step, (n, n_steps + 1)."""
+        # Several together take little longer than one in a block of its own.
+        at_once = 1 if self.num_envs == len(scenarios) == 1 else EPISODES_AT_ONCE
+        if at_once not in self._references:
+            changes: dict[str, Any] = {"observation_mode": "local", "reward": "cost", "duration_s": self.duration_s}
+            settings = replace(self.settings, strategy=self.settings.task.hundred, **changes)
+            self._references[at_once] = EnvBatch(settings, at_once, self.simulator.threads.n_threads)
+        for first in range(0, len(scenarios), at_once):
+            part = scenarios[first : first + at_once]
+            self._references[at_once].start(range(len(part)), part)
+            self._references[at_once].play_costs(costs[first : first + len(part)])
 
-        One may be drawn already. Those that do not start are counted for the environment. A ValueError says that the
-        environment's one scenario does not start, or none of many drawn ones.
+    def first_to_start(self, env: int, prepare_next: Callable[[], Started]) -> Started:
+        """Return what an environment's next episodes give, one after the other, until one can start.
+
+        Those that cannot are counted. A ValueError says that the environment's one scenario does not start, or none of
+        many drawn ones.
         """
         refusal: Exception | None = None
         for _ in range(_MOST_DRAWS):
             try:
-                return self.prepare([scenario or self.draw([rng])[0]])
+                return prepare_next()
             except (StartError, StepError) as error:
                 if self._fixed is not None:
                     raise
-                refusal, scenario = error, None
+                refusal = error
                 self.redrawn[env] += 1
         raise StartError(f"none of {_MOST_DRAWS} drawn scenarios starts; of the last one: {refusal}") from refusal
 
@@ -313,11 +324,12 @@ class EnvBatch:
         """Start one episode in each: some `places` of those that :meth:`prepare` returned, or scenarios."""
         if not isinstance(episodes, PreparedEpisodes):
             episodes = self.prepare(episodes)
-        # The arrays are new after a snapshot, or with more events than before.
-        self._bound = None
-        index = np.array(indices, dtype=np.int64)
+        index, data = np.array(indices, dtype=np.int64), self.simulator.data
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
         self.simulator.start(index, episodes.runs, places=taken)
+        if self.simulator.data is not data:
+            # It holds more events than before.
+            self._bound = None
         for array, first in zip(self._rows, episodes.rows, strict=True):
             array[index] = first[taken]
         outputs = self.outputs
@@ -437,9 +449,8 @@ class EnvBatch:
 
     def close(self) -> None:
         """Stop the threads."""
-        for batch in (self, self._reference):
-            if batch is not None:
-                batch.simulator.close()
+        for batch in (self, *self._references.values()):
+            batch.simulator.close()
 
     def __getstate__(self) -> dict[str, Any]:
         # Addresses are those of this object's arrays.

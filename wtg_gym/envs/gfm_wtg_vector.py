@@ -1,6 +1,6 @@
 """The vector environment: many episodes in one compiled call."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -52,9 +52,14 @@ class NextEpisodes:
             except ValueError:
                 for env, scenario in zip(group, scenarios, strict=True):
                     try:
-                        self._put([env], self._batch.next_episode(self._generators[env], env, scenario))
+                        self._put([env], self._first_to_start(env, iter([scenario])))
                     except ValueError as error:
                         self._refused[env] = error
+
+    def _first_to_start(self, env: int, drawn: Iterator[Scenario]) -> PreparedEpisodes:
+        """Return an environment's next episode: of the scenarios drawn already and, after them, of new ones."""
+        batch, rngs = self._batch, [self._generators[env]]
+        return batch.first_to_start(env, lambda: batch.prepare([next(drawn, None) or batch.draw(rngs)[0]]))
 
     def _put(self, group: Sequence[int], episodes: PreparedEpisodes) -> None:
         self._ready.update({env: (episodes, place) for place, env in enumerate(group)})

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -117,13 +117,27 @@ class ScenarioDistribution(Checked):
         n_wtg: int = 2,
         n_turbines: Sequence[float] | None = None,
         duration_s: float = 60.0,
-        attempt: int = 0,
     ) -> list[scenario.Scenario]:
         """Draw the scenarios of seeds, several quicker than one by one: the same seed always gives the same scenario.
 
         Wind is averaged over turbines per group, (n_wtg,); None: those of `Wind` each. In a short run [s] events come
-        no later than half-way. Another attempt is another scenario of each seed, for suites that draw until a scenario
-        suits them.
+        no later than half-way.
+        """
+        drawn = self.draw_suited(seeds, n_wtg, n_turbines, duration_s, 0, lambda scenario: scenario)
+        return [each for each in drawn if each is not None]
+
+    def draw_suited(
+        self,
+        seeds: Sequence[int],
+        n_wtg: int,
+        n_turbines: Sequence[float] | None,
+        duration_s: float,
+        attempt: int,
+        suited: Callable[[scenario.Scenario], scenario.Scenario | None],
+    ) -> list[scenario.Scenario | None]:
+        """Draw scenarios as :meth:`draw_many` does; each is what `suited` makes of it, None if it does not suit.
+
+        Another attempt is another scenario of each seed. The load noise comes last, and is not there yet for `suited`.
         """
         for seed in seeds:
             require_whole("a seed", seed, 0, 2**63 - 1)
@@ -139,8 +153,7 @@ class ScenarioDistribution(Checked):
         drafts = [self._draft(stream, turbines, duration_s) for stream in streams]
         noise = self.find(draws.LoadNoise) or draws.LoadNoise(standard_deviation_mw=0.0)
         commitment = self.find(draws.UnitCommitment)
-        speeds, noises = _series(streams, drafts, noise)
-        return [
+        without_noise = (
             scenario.trusted(
                 scenario.Scenario,
                 name=f"{self.name}/{seed}",
@@ -148,7 +161,7 @@ class ScenarioDistribution(Checked):
                 wind_dt_s=scenario.SERIES_DT,
                 duration_s=duration_s,
                 events=tuple(draft.events),
-                load_noise_mw=noise_mw,
+                load_noise_mw=np.zeros(0),
                 load_noise_bus=noise.bus,
                 load_level=draft.load_level,
                 governor_droop=draft.governor_droop,
@@ -158,8 +171,14 @@ class ScenarioDistribution(Checked):
                 reserve_margin=None,
                 seed=int(seed),
             )
-            for seed, draft, speed, noise_mw in zip(seeds, drafts, speeds, noises, strict=True)
-        ]
+            for seed, draft, speed in zip(seeds, drafts, _winds(streams, drafts), strict=True)
+        )
+        drawn = [suited(each) for each in without_noise]
+        if drafts and noise.standard_deviation_mw:
+            places = [place for place, each in enumerate(drawn) if each is not None]
+            for place, noise_mw in zip(places, _noises([streams[i] for i in places], drafts[0], noise), strict=True):
+                drawn[place] = scenario.trusted(scenario.Scenario, **{**vars(drawn[place]), "load_noise_mw": noise_mw})
+        return drawn
 
     def check_turbines(self, n_turbines: Sequence[float]) -> None:
         """Refuse turbines per group that hardly any mean winds let give the penetration; a ValueError says why."""
@@ -195,40 +214,47 @@ class ScenarioDistribution(Checked):
         return get_grid(self.grid)
 
 
-def _series(
-    streams: Sequence[np.random.Generator], drafts: Sequence[draws.Draft], noise: draws.LoadNoise
-) -> tuple[Floats, Floats]:
-    """Wind per scenario and group, (n, n_wtg, n_samples) [m/s], and load noise, (n, n_samples or 0) [MW]."""
-    n, n_wtg, n_samples = len(drafts), len(drafts[0].n_turbines), drafts[0].n_samples
+def _winds(streams: Sequence[np.random.Generator], drafts: Sequence[draws.Draft]) -> Floats:
+    """Wind per scenario and group, (n, n_wtg, n_samples) [m/s]."""
+    if not drafts:
+        return np.zeros((0, 0, 0))
+    n_samples = drafts[0].n_samples
     n_period = wind.period_length(n_samples)
     units, sigmas = [], []
-    of_noise = wind.noise_amplitude(noise.correlation_s, n_period)
     for draft in drafts:
         for mean, n_turbines in zip(draft.mean_winds_m_s, draft.n_turbines, strict=True):
             units.append(wind.turbulence_amplitude(round(10.0 * mean), n_turbines, n_period))
             sigmas.append(wind.ntm_sigma(mean, draft.turbulence_intensity))
-        units.append(of_noise)
-        sigmas.append(noise.standard_deviation_mw)
-    amplitudes = np.concatenate(units).reshape(n, n_wtg + 1, -1)
-    amplitudes *= np.array(sigmas).reshape(n, -1, 1)
-    coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
-    normals = coefficients.view(np.float64).reshape(n, -1)
-    for numbers, stream in zip(normals, streams, strict=True):
-        stream.standard_normal(out=numbers)
-    normals.reshape(*amplitudes.shape, 2)[:] *= amplitudes[..., np.newaxis]
-    series: Floats = np.fft.irfft(coefficients, n_period)[..., :n_samples]
-    speed, noise_mw = series[:, :n_wtg], series[:, n_wtg]
+    amplitudes = np.array(units) * np.array(sigmas)[:, np.newaxis]
+    speed = _series(streams, amplitudes.reshape(len(drafts), -1, amplitudes.shape[1]), n_period)[..., :n_samples]
     speed += np.array([draft.mean_winds_m_s for draft in drafts])[:, :, None]
     for of_scenario, draft in zip(speed, drafts, strict=True):
         if draft.wind_change is not None:
             groups, change = draft.wind_change
             of_scenario[groups] += change
-    # New arrays, which do not hold the rest of the period in memory.
+    # A new array, which does not hold the rest of the period in memory.
     speed = np.clip(speed, *wind.DRAWN_WIND_RANGE)
-    if noise.standard_deviation_mw:
-        noise_mw = noise_mw - noise_mw[:, :1] * wind.noise_decay(noise.correlation_s, n_samples)
-    else:
-        noise_mw = np.zeros((n, 0))
-    for array in (speed, noise_mw):
-        array.setflags(write=False)
-    return speed, noise_mw
+    speed.setflags(write=False)
+    return speed
+
+
+def _noises(streams: Sequence[np.random.Generator], draft: draws.Draft, noise: draws.LoadNoise) -> Floats:
+    """Load noise per scenario, (n, n_samples) [MW]; drawn after the wind, in scenarios as long as the draft."""
+    n_period = wind.period_length(draft.n_samples)
+    amplitude = wind.noise_amplitude(noise.correlation_s, n_period) * noise.standard_deviation_mw
+    series = _series(streams, np.broadcast_to(amplitude, (len(streams), 1, amplitude.size)), n_period)
+    noise_mw = series[:, 0, : draft.n_samples]
+    noise_mw = noise_mw - noise_mw[:, :1] * wind.noise_decay(noise.correlation_s, draft.n_samples)
+    noise_mw.setflags(write=False)
+    return noise_mw
+
+
+def _series(streams: Sequence[np.random.Generator], amplitudes: Floats, n_period: int) -> Floats:
+    """Gaussian series of Fourier amplitudes (n, n_series, n_frequencies): (n, n_series, n_period)."""
+    coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
+    for numbers, stream in zip(coefficients.view(np.float64), streams, strict=True):
+        stream.standard_normal(out=numbers)
+    coefficients.real *= amplitudes
+    coefficients.imag *= amplitudes
+    series: Floats = np.fft.irfft(coefficients, n_period)
+    return series

@@ -5,7 +5,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from types import EllipsisType
 from typing import Any
@@ -214,11 +214,12 @@ class Suite:
             for place in missing:
                 by_distribution.setdefault(self._distribution(seeds[place], attempt).name, []).append(place)
             for places in by_distribution.values():
-                of_places = [seeds[place] for place in places]
-                distribution = self._distribution(of_places[0], attempt)
-                drawn = distribution.draw_many(of_places, n_wtg, n_turbines, duration_s, attempt)
-                suited = zip(places, (self._suited(scenario, margins, takes_any) for scenario in drawn), strict=True)
-                accepted.update((place, scenario) for place, scenario in suited if scenario is not None)
+                of_seeds = [seeds[place] for place in places]
+                distribution = self._distribution(of_seeds[0], attempt)
+                suited = partial(self._suited, margins=margins, takes_any=takes_any)
+                drawn = distribution.draw_suited(of_seeds, n_wtg, n_turbines, duration_s, attempt, suited)
+                with_places = zip(places, drawn, strict=True)
+                accepted.update((place, scenario) for place, scenario in with_places if scenario is not None)
             missing = [place for place in missing if place not in accepted]
             if not missing:
                 return [accepted[place] for place in range(len(seeds))]
