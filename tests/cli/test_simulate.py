@@ -56,12 +56,16 @@ def test_traces_hold_every_sample_with_units_in_the_header(tmp_path):
     table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
     assert table["strategy"].tolist() == ["mppt"] * 61 + ["deloaded-10"] * 61
     run = simulate(get_suite("paper").scenario(0, duration_s=6.0), "deloaded-10")
+    # At the start all machines rest, and without damping torque is power; states have their names.
+    assert run.machine_torque_pu[0] == pytest.approx(run.machine_power_pu[0], abs=1e-9)
+    assert run.states["wtg1.rotor_speed"].tolist() == run.rotor_speed_pu[:, 1].tolist()
     for name, values in (
         ("frequency_hz", run.frequency_hz),
         ("group_2_rotor_speed_pu", run.rotor_speed_pu[:, 1]),
         ("machine_1_frequency_hz", run.machine_frequency_hz[:, 0]),
         ("bus_14_voltage_pu", run.bus_voltage_pu[:, 13]),
         ("machine_1_power_pu", run.machine_power_pu[:, 0]),
+        ("machine_1_torque_pu", run.machine_torque_pu[:, 0]),
         ("group_2_reactive_power_pu", run.reactive_power_pu[:, 1]),
         ("group_1_current_pu", run.current_pu[:, 0]),
         ("group_1_connected", run.connected[:, 0]),

@@ -18,6 +18,7 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.trajectory import record
 from wtg_gym.tasks.cost import COST_TERMS
 
 STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
@@ -59,10 +60,16 @@ def test_it_starts_in_equilibrium_holds_up_the_frequency_and_its_wear_is_charged
     own, without = played(settings(battery)), played(WITHOUT)
     with_them, alone = (batch.simulator.env_values("coi_min")[0] for batch in (own, without))
     assert 1.0 > with_them > alone + 1e-4
-    energy = own.observations[0, [own.observation_names.index(f"batteries{j}.energy_left") for j in range(2)]]
+    places = [own.observation_names.index(f"batteries{j}.energy_left") for j in range(2)]
+    energy = own.observations[0, places]
     assert (energy < 0.5).all() and (energy > 0.4).all()
     effort = COST_TERMS.index("effort")
     assert own.cost_sums()[0, effort] > 0.0 == without.cost_sums()[0, effort]
+    again = played(settings(battery), n_steps=0)
+    states = record(again.simulator, lambda _: again.step(np.zeros((1, again.n_action))))["states"]
+    assert states["batteries0.energy"][0] == 0.5
+    last = [states[f"batteries{j}.energy"][-1] for j in range(2)]
+    assert last == pytest.approx(again.observations[0, places].tolist(), rel=1e-6)
 
 
 @pytest.mark.parametrize("version", ["v0", "v1"])

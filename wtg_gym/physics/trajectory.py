@@ -1,6 +1,6 @@
 """One run, recorded: what `wtg-gym simulate` plots and the paper's claims are read from."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,7 @@ class Trajectory:
     bus_frequency_hz: Floats  # local (n, n_bus); (n, 0) where the physics is the paper's [Hz]
     bus_voltage_pu: Floats  # magnitude (n, n_bus) [p.u.]
     machine_power_pu: Floats  # electrical, of the air gap, on the base of the system (n, n_sync) [p.u.]
+    machine_torque_pu: Floats  # mechanical, on the base of the system (n, n_sync) [p.u.]
     rotor_speed_pu: Floats  # (n, n_wtg) [p.u.]
     tip_speed_ratio: Floats  # (n, n_wtg) [-]
     power_pu: Floats  # delivered, on each group's base (n, n_wtg) [p.u.]
@@ -39,6 +40,8 @@ class Trajectory:
     pitch_deg: Floats  # (n, n_wtg) [deg]
     wind_m_s: Floats  # (n, n_wtg) [m/s]
     shed_energy_mws: Floats  # load not served since the start, at 1 p.u. of voltage (n,) [MW s]
+    #: Every state of the simulator by its name, such as "sync0.gate", those of user-defined devices among them (n,).
+    states: Mapping[str, Floats]
     trip_causes: tuple[TripCause | None, ...]  # why each group tripped, None where it did not
     status: protection.Status  # why the run ended before its time, or RUNNING
     nominal_frequency_hz: float  # [Hz]
@@ -89,7 +92,9 @@ def record(simulator: Simulator, advance: Callable[[int], Any]) -> dict[str, Any
             break
         advance(interval)
         samples.append(_sample(simulator))
-    grid, groups, machines, buses, terminals, voltages = (np.array(column) for column in zip(*samples, strict=True))
+    grid, groups, machines, buses, states, terminals, voltages = (
+        np.array(column) for column in zip(*samples, strict=True)
+    )
     nominal, time = settings.case.frequency_hz, np.arange(len(grid), dtype=np.float64) * settings.interval_s
     status = protection.Status(int(simulator.env_values("status")[0]))
     if status != protection.Status.RUNNING:
@@ -107,6 +112,7 @@ def record(simulator: Simulator, advance: Callable[[int], Any]) -> dict[str, Any
         bus_frequency_hz=nominal * buses,
         bus_voltage_pu=voltages,
         machine_power_pu=machines[:, 1],
+        machine_torque_pu=machines[:, 2],
         rotor_speed_pu=of_group["rotor_speed"],
         tip_speed_ratio=tip_speed * of_group["rotor_speed"] / of_group["wind"],
         power_pu=of_group["power"],
@@ -120,6 +126,7 @@ def record(simulator: Simulator, advance: Callable[[int], Any]) -> dict[str, Any
         pitch_deg=of_group["pitch"],
         wind_m_s=of_group["wind"],
         shed_energy_mws=settings.case.base_mva * grid[:, 1],
+        states=dict(zip(simulator.layout.state_names, states.T, strict=True)),
         trip_causes=tuple(TripCause(int(cause)) if tripped else None for tripped, cause in trips),
         status=status,
         nominal_frequency_hz=nominal,
@@ -131,13 +138,14 @@ _OF_GROUPS = ("speed", "rotor_speed", "power", "captured", "coefficient", "filte
 
 
 def _sample(simulator: Simulator) -> tuple[Any, ...]:
-    """Return what is recorded of grid, WTG groups, machines and buses."""
+    """Return what is recorded of grid, WTG groups, machines, buses and states."""
     n_bus = simulator.plant.buses.size if simulator.settings.extended else 0
     return (
         [simulator.env_values(name)[0] for name in ("coi", "shed_energy")],
         [simulator.wtg_values(name)[0] for name in _OF_GROUPS],
-        [simulator.machine_values(name)[0] for name in ("speed", "power")],
+        [simulator.machine_values(name)[0] for name in ("speed", "power", "torque")],
         simulator.blocks[0, simulator.layout.rows_of(BUSES, "frequency")[:n_bus], 0],
+        simulator.state(),
         *_electrical(simulator),
     )
 
