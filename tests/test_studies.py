@@ -19,7 +19,7 @@ from reference import environment_page, laws, parameters_page
 from docs.studies.small_signal import linearise
 from wtg_gym import Scenario, evaluate, get_suite, load_entries, simulate
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.damping import SLOPES, Loop, damping
+from wtg_gym.evaluation.damping import POINT, SLOPES, Loop, damping
 from wtg_gym.evaluation.faults import SENSOR_FAULTS, with_fault
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, Recording, _longest_beyond, run_grid_test
 from wtg_gym.physics.parameters import PitchParameters
@@ -206,10 +206,11 @@ def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch():
     assert _longest_beyond(0.1 * np.arange(8.0), beyond) == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("law", ["deloaded-10", "coordinated-tuned"])
-def test_a_law_alone_has_the_modes_of_the_linearised_plant(law):
+@pytest.mark.parametrize(("law", "wind_m_s"), [("deloaded-10", 10.0), ("coordinated-tuned", 11.0)])
+def test_a_law_alone_has_the_modes_of_the_linearised_plant(law, wind_m_s):
     entry, plant = load_entries(law)[0], EnvSettings(suite="standard-v1", plant=PLANT).resolved_plant
-    result, scenario, step_s = damping(entry, plant=PLANT), Loop(entry, PLANT).scenario, plant.simulation_dt
+    result, step_s = damping(entry, PLANT, {"wind_m_s": wind_m_s}), plant.simulation_dt
+    scenario = Loop(entry, PLANT, {**POINT, "wind_m_s": wind_m_s}).scenario
     assert result.rest.is_reached and result.rest.largest_action == 0.0 and result.largest_rate < 0.0
     for slope, side in zip(SLOPES, ("under", "over"), strict=True):
         if not (seen := np.array([mode.eigenvalue for mode in result.modes if mode.slope in (slope, "both")])).size:

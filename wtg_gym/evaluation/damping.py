@@ -25,13 +25,13 @@ from wtg_gym.physics import linearisation, scenario, sensors
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.play import answer
+from wtg_gym.ranges import require_known
 from wtg_gym.scenarios.suites import DEFAULT_SUITE
 from wtg_gym.tasks import cost, measured_observation
 
 Complex = npt.NDArray[np.complex128]
 #: The operating point: wind of all groups [m/s], and the middle of what standard-v1 draws of the grid.
-WIND_M_S = 10.0
-GRID: dict[str, Any] = {"governor_droop": 0.055, "committed": 0.6, "load_level": 0.95}
+POINT = {"wind_m_s": 10.0, "governor_droop": 0.055, "committed": 0.6, "load_level": 0.95}
 #: How long a loop may take to come to rest [s]; the slowest modes of v1 decay with 0.02/s.
 _SETTLES_S = 600.0
 #: At rest, the frequency moves less than this [Hz] in the last seconds.
@@ -84,13 +84,20 @@ class Damping(NamedTuple):
     rest: Rest
 
 
-def damping(entry: Entry, plant: Mapping[str, Any] | None = None) -> Damping:
+def damping(entry: Entry, plant: Mapping[str, Any] | None = None, point: Mapping[str, float] | None = None) -> Damping:
     """Return the oscillations of the loop of an entry of version v1, in the grid of standard-v1.
 
-    `plant` replaces parts of the plant, as in :class:`~wtg_gym.envs.settings.EnvSettings`. A PolicyError says that the
-    policy fails, that its memory is not arrays, or that the loop loses the grid.
+    `plant` replaces parts of the plant, as in :class:`~wtg_gym.envs.settings.EnvSettings`, `point` values of the
+    operating point :data:`POINT`, such as {"wind_m_s": 8.0}. A ValueError names what is unknown or out of range, a
+    PolicyError says that the policy fails, that its memory is not arrays, or that the loop loses the grid.
     """
-    loop, modes, rates, rests = Loop(entry, plant), list[Mode](), list[float](), list[Rest]()
+    require_known("values of the operating point", point or {}, POINT)
+    loop, modes, rates, rests = (
+        Loop(entry, plant, {**POINT, **(point or {})}),
+        list[Mode](),
+        list[float](),
+        list[Rest](),
+    )
     has_corner = entry.law.k_min != entry.law.k_max
     with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
         for slope in SLOPES if has_corner else SLOPES[:1]:
@@ -106,7 +113,7 @@ def damping(entry: Entry, plant: Mapping[str, Any] | None = None) -> Damping:
 class Loop:
     """An entry in the loop with the grid, one measuring interval a step of the tape."""
 
-    def __init__(self, entry: Entry, plant: Mapping[str, Any] | None) -> None:
+    def __init__(self, entry: Entry, plant: Mapping[str, Any] | None, point: Mapping[str, Any] = POINT) -> None:
         settings = EnvSettings(suite=DEFAULT_SUITE, duration_s=_SETTLES_S, plant=plant, **entry.env_arguments)
         #: Intervals of a decision, and its length [s].
         self.n_held, self.step_s = settings.n_intervals, settings.step_s
@@ -116,9 +123,11 @@ class Loop:
         errors, n_wtg = settings.resolved_suite.sensors, self.tape.batch.n_wtg
         assert errors is not None
         delays = errors.delays_s()
+        of_grid = dict(point)
+        wind_m_s = of_grid.pop("wind_m_s")
         self.scenario = scenario.Scenario(
-            name=f"rest at {WIND_M_S:g} m/s",
-            wind_speed=np.full((n_wtg, 1), WIND_M_S),
+            name=f"rest at {wind_m_s:g} m/s",
+            wind_speed=np.full((n_wtg, 1), wind_m_s),
             duration_s=_SETTLES_S,
             load_noise_bus=1,
             sensors=sensors.Sensors(
@@ -130,7 +139,7 @@ class Loop:
                 rocof_filter_s=errors.rocof_filter_s,
                 wind_sensor=errors.wind_sensor,
             ),
-            **GRID,
+            **of_grid,
         )
         self._seen: Floats = np.zeros(0)
         self._memory: Any = None

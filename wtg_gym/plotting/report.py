@@ -422,11 +422,11 @@ def _energy(report: Report) -> Section:
 
 
 def _damping(report: Report) -> Section:
-    grid, law = damping.GRID, report.entry.law
+    point, law = damping.POINT, report.entry.law
     sentence = (
-        f"Oscillations of the grid with the entry in the loop, at rest at {damping.WIND_M_S:g} m/s with a governor "
-        f"droop of {grid['governor_droop']:g} p.u., {100.0 * grid['committed']:g} % of the machine's units and "
-        f"{100.0 * grid['load_level']:g} % of the load: a damping ratio below 0 grows, below {_WEAK:g} is weak."
+        f"Oscillations of the grid with the entry in the loop, at rest at {point['wind_m_s']:g} m/s with a governor "
+        f"droop of {point['governor_droop']:g} p.u., {100.0 * point['committed']:g} % of the machine's units and "
+        f"{100.0 * point['load_level']:g} % of the load: a damping ratio below 0 grows, below {_WEAK:g} is weak."
     )
     entries = [report.entry]
     if report.entry.policy is not None:
