@@ -42,12 +42,12 @@ class MachineCode(BuildHookInterface[Any]):
             reason = getattr(error, "stderr", None) or error
             self.app.display_warning(f"the wheel has no machine code, so its first use compiles: {reason}")
             return
-        build_data |= {"pure_python": False, "infer_tag": True}
+        build_data |= {"pure_python": False, "infer_tag": not KIND}
         if KIND:
             python, platform = f"cp{sys.version_info[0]}{sys.version_info[1]}", sysconfig.get_platform()
             # It links to nothing of the system.
             platform = platform.replace("linux", "manylinux_2_17").replace("-", "_").replace(".", "_")
-            build_data |= {"infer_tag": False, "tag": f"{python}-{python}-{platform}"}
+            build_data["tag"] = f"{python}-{python}-{platform}"
         build_data["force_include"][str(code)] = "wtg_gym/machine_code"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:

@@ -92,6 +92,7 @@ def draw_diagram(axes: "Axes", plant: Plant, events: Sequence[Event], over: Coll
     """Draw the single-line diagram into empty axes, with the events that have struck, numbered; some are undone."""
     group_buses, places = [group.bus for group in plant.groups], bus_places(plant.case)
     size = min(1.0, math.sqrt(_N_BUSES / len(places)))
+    number_size = max(8.0, 10.0 * size)
     axes.set_axis_off()
     axes.set(xlim=(-0.6, 9.8), ylim=(-0.9, 6.1))
     lasting = [e for e in events if e not in over]
@@ -113,7 +114,7 @@ def draw_diagram(axes: "Axes", plant: Plant, events: Sequence[Event], over: Coll
             axes.text(at, centre - 0.02 * size, name, fontsize=9 * size, color=colour, ha="center", va="center")
         half = max(0.45 * size, 0.5 * gap * (len(units) - 1) + 0.15 * size)
         axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0 * size, solid_capstyle="butt")
-        axes.text(x + half - 0.03, y + 0.08 * size, str(bus), fontsize=10 * size, color=INK, va="bottom", bbox=_PLATE)
+        axes.text(x + half - 0.03, y + 0.08 * size, str(bus), fontsize=number_size, color=INK, va="bottom", bbox=_PLATE)
     for bus, (x, y) in places.items():
         numbers = [str(n) for n, event in enumerate(events, start=1) if bus in _struck_buses(event, group_buses)]
         if numbers:
