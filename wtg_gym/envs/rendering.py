@@ -109,9 +109,10 @@ def draw_diagram(axes: "Axes", plant: Plant, events: Sequence[Event], over: Coll
         for place, (name, colour, is_out) in enumerate(units):
             at, centre = x + first + gap * place, y - 0.85 * size
             axes.plot([at, at], [y, centre], **(_OPENED if is_out else {"color": colour, "linewidth": 1.0}))
-            ring: Any = {"markerfacecolor": PAGE, "markeredgecolor": colour, "markeredgewidth": 1.4}
+            ring: Any = {"markerfacecolor": PAGE, "markeredgecolor": colour, "markeredgewidth": 1.4, "zorder": 4}
             axes.plot(at, centre, "o", markersize=18 * size, **ring)
-            axes.text(at, centre - 0.02 * size, name, fontsize=9 * size, color=colour, ha="center", va="center")
+            style: Any = {"fontsize": 9 * size, "color": colour, "ha": "center", "va": "center", "zorder": 4}
+            axes.text(at, centre - 0.02 * size, name, **style)
         half = max(0.45 * size, 0.5 * gap * (len(units) - 1) + 0.15 * size)
         axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0 * size, solid_capstyle="butt")
         axes.text(x + half - 0.03, y + 0.08 * size, str(bus), fontsize=number_size, color=INK, va="bottom", bbox=_PLATE)
