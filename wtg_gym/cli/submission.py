@@ -151,13 +151,11 @@ def _write_cards(folder: Path, entries: "Mapping[Path, Entry]", played: "Results
 
     if played.suite != page.SUITE:
         return
-    missing = {row["name"] for row in played.entries}
+    first = {entry.name: path for path, entry in reversed(list(entries.items()))}
     for path, entry in entries.items():
-        if entry.name not in missing:
-            continue
-        missing.discard(entry.name)
         results = page.part_of_entry(played, entry)
-        assert results is not None
+        if results is None or path != first[entry.name]:
+            continue
         made = page.Report(entry=entry, spec=_shown(path), results=results, stored=True, n_threads=n_threads)
         try:
             with Progress("sections") as progress:

@@ -110,9 +110,7 @@ class Adjusted:
         self._points = 100.0 / scale
         self._groups = groups
         self._plain = [_Stratum(at, None, name) for name, at in groups.items()]
-        self._strata = (
-            self._plain if variates is None else [_Stratum(at, variates, name) for name, at in groups.items()]
-        )
+        self._strata = [_Stratum(at, variates, name) for name, at in groups.items()]
 
     def points(self, gains: Floats) -> float:
         """Return the points above 100 that gains make."""
@@ -181,8 +179,6 @@ def _interval(sides: Sequence[Floats], strata: Sequence[_Stratum], offset: float
         shared = sum(stratum.variance(apart[:, stratum.at]).sum() for stratum in strata) / len(strata) ** 2
         parts.append((max(between - shared / (n_runs - 1) / n_runs, 0.0), n_runs - 1))
     variance = math.fsum(part for part, _ in parts)
-    quantiles = math.fsum(
-        part * float(special.stdtrit(n_free, 0.5 + 0.5 * CONFIDENCE)) for part, n_free in parts if part
-    )
+    quantiles = math.fsum(part * special.stdtrit(n_free, 0.5 + 0.5 * CONFIDENCE) for part, n_free in parts if part)
     half = quantiles / math.sqrt(variance) if variance else 0.0
     return Interval(value, value - half, value + half)

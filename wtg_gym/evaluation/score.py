@@ -24,11 +24,6 @@ class NoScaleError(ValueError):
     """No scores on these scenarios: the entry at 0 is not worse than the entry at 100."""
 
 
-def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> float:
-    """Return the pinned cost of an episode that should have lasted so long [s], with the largest cost rate [1/s]."""
-    return cap * (duration_s + 1.0) if failed else cost
-
-
 def cost_offsets(groups: Groups, task: Task) -> Floats:
     """Return J0 of every scenario, (n_scenarios,)."""
     offsets = np.empty(sum(group.size for group in groups.values()))

@@ -111,15 +111,7 @@ class Bootstrap:
     """
 
     def __init__(self, zero: Floats) -> None:
-        self._zero = zero
-
-    @functools.cached_property
-    def _scale(self) -> float:
-        return -mean(self._zero)
-
-    @functools.cached_property
-    def _scales(self) -> Floats:
-        return -_resampled(self._zero[np.newaxis])
+        self._scale, self._scales = -mean(zero), -_resampled(zero[np.newaxis])
 
     def points(self, gains: Floats) -> float:
         """Return the points above 100 that gains make."""

@@ -77,17 +77,14 @@ class Section:
 
     def markdown(self, stem: str) -> str:
         """Return the section as Markdown, with pictures in files that are called after the page's stem."""
-        parts = [f"## {self.heading}", _plain(self.sentence)]
-        if self.rows:
-            cells = [[_plain(cell) for cell in row] for row in self.rows]
-            parts.append(markdown_table(self.header, cells, right=self.numbers))
-        if self.note:
-            parts.append(_plain(self.note))
+        cells = [[_plain(cell) for cell in row] for row in self.rows]
+        rows = markdown_table(self.header, cells, right=self.numbers) if cells else ""
+        parts = [f"## {self.heading}", _plain(self.sentence), rows, _plain(self.note)]
         for picture in self.pictures:
             if picture.command:
                 parts.append(f"{_plain(picture.caption)}\n\n```sh\n{picture.command}\n```")
             parts.append(f"![{_plain(picture.caption)}]({stem}-{picture.name}.svg)")
-        return "\n\n".join(parts)
+        return "\n\n".join(filter(None, parts))
 
 
 def _plain(text: str) -> str:
@@ -264,9 +261,8 @@ def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked
         for edge in (0.0, 10.0):
             axes.axvline(edge, color="0.8", linewidth=0.8, zorder=0)
         axes.set_xlabel("reserve margin [% of the load]")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2 if stacked else len(entries)
-    )
+    legend = panels[0].get_legend_handles_labels()
+    figure.legend(*legend, loc="outside lower center", ncols=2 if stacked else len(entries))
     return figure
 
 

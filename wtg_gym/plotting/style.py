@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
-from wtg_gym.files import write_together
+from wtg_gym.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,13 +122,9 @@ def figure_bytes(figure: "Figure", suffix: str) -> bytes:
     return picture.getvalue()
 
 
-def save_figure(figure: "Figure", path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
-    """Write a figure in several formats next to each other, all or none; return the paths."""
-    folder, name = path_without_suffix.parent, path_without_suffix.name
-    endings = [suffix.lower().removeprefix(".") for suffix in suffixes]
-    contents = {folder / f"{name}.{ending}": figure_bytes(figure, ending) for ending in endings}
-    write_together(contents)
-    return list(contents)
+def save_figure(figure: "Figure", path: Path) -> None:
+    """Write a figure into a file: .svg, .png or .pdf; errors as of :func:`figure_bytes`."""
+    write_atomically(path, figure_bytes(figure, path.suffix))
 
 
 def letter_panel(axes: "Axes", letter: str, text: str) -> None:
