@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import damping, evaluator, faults, grid_tests, recording, score, statistics, table
+from wtg_gym.evaluation import damping, faults, grid_tests, recording, score, statistics, table
 from wtg_gym.evaluation.results import Results, score_difference
 from wtg_gym.evaluation.summary import EntrySummary, Runs, lost, lost_or_beyond
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import style, trajectories
 from wtg_gym.policies import Entry, entry_folder
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 
 if TYPE_CHECKING:
@@ -139,11 +140,10 @@ def part_of_entry(results: Results, entry: Entry) -> Results | None:
     return replace(results, entries=tuple(kept.values()), episodes=episodes, failed=())
 
 
-def report_files(report: Report, stem: str, on_progress: evaluator.Progress) -> dict[str, bytes | str]:
+def report_files(report: Report, stem: str) -> dict[str, bytes | str]:
     """Play what the sections show, and return the page as `stem`.md, its pictures, and all in one as `stem`.html.
 
-    `on_progress` is called with what is under way, and the sections done. HTML needs markdown-it-py. A PolicyError says
-    that the entry's policy fails.
+    Progress is shown on stderr. HTML needs markdown-it-py. A PolicyError says that the entry's policy fails.
     """
     entry, versions = report.entry, report.results.versions
     source = f"Source: {entry.source}." if entry.source else ""
@@ -153,12 +153,13 @@ def report_files(report: Report, stem: str, on_progress: evaluator.Progress) -> 
     subtitle = [entry.description, f"Kind: {entry.kind}{beneath}.", source, scores]
     title, pictures = f"Report: {entry.label}", dict[str, bytes]()
     parts = [f"# {_plain(title)}", _plain(" ".join(filter(None, subtitle)))]
-    for done, section_of in enumerate(_SECTIONS):
-        on_progress(section_of.__name__.strip("_").replace("_", " "), done, len(_SECTIONS))
-        section = section_of(report)
-        parts.append(section.markdown(stem))
-        for picture in section.pictures:
-            pictures[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
+    with Progress("sections") as progress:
+        for done, section_of in enumerate(_SECTIONS):
+            progress.update(section_of.__name__.strip("_").replace("_", " "), done, len(_SECTIONS))
+            section = section_of(report)
+            parts.append(section.markdown(stem))
+            for picture in section.pictures:
+                pictures[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
     page = "\n\n".join(parts) + "\n"
     return {**pictures, f"{stem}.md": page, f"{stem}.html": _html(title, page, pictures)}
 

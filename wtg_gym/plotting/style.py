@@ -27,8 +27,6 @@ Dashes = tuple[float, tuple[float, ...]] | Literal["-"]
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 #: Widths of one and of two columns of an IEEE journal [mm].
 SINGLE_COLUMN_MM, DOUBLE_COLUMN_MM = 88.9, 181.9
-#: Dashes of lines at instants.
-DOTS: Dashes = (0.0, (1.0, 1.5))
 #: Grey of reference lines.
 REFERENCE_GREY = "0.4"
 SMALL_PT = 7.0

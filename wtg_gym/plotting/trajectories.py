@@ -76,7 +76,7 @@ def mark_instants(axes: "Axes", scenario: Scenario, *, numbered: bool) -> None:
     """Draw a dotted line at every event, with its number above if `numbered`, and where a line closes again."""
     instants = [events[0].time_s for events in _by_instant(scenario)]
     for instant in (*instants, *(event.end_s for event in undone(scenario.events, scenario.duration_s))):
-        axes.axvline(instant, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.DOTS, zorder=1)
+        axes.axvline(instant, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
     groups: list[list[int]] = []
     for index, instant in enumerate(instants) if numbered else ():
         if groups and instant - instants[groups[-1][-1]] < _LABEL_WIDTH * scenario.duration_s:

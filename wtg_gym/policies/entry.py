@@ -66,7 +66,12 @@ class Entry:
         name = check_name("the entry's name", self.name)
         # Asked once: it may be in other processes.
         learned = learned_in(self.policy)
-        strategy = self._default_law(learned) if self.strategy is None else self.strategy
+        strategy = self.strategy
+        if strategy is None:
+            if not learned and hasattr(self.policy, "get_vec_normalize_env"):
+                raise without_environment(name)
+            law = learned.get("strategy")
+            strategy = law if isinstance(law, TrackingLaw) else REFERENCE_LAW
         object.__setattr__(self, "strategy", strategy)
         object.__setattr__(self, "law", get_law(strategy))
         # Checks the two modes.
@@ -85,13 +90,6 @@ class Entry:
             raise ValueError(f"per_group of entry {name!r} may be true with local observations alone")
         if self.policy is not None:
             self._check_policy(learned)
-
-    def _default_law(self, learned: Mapping[str, Any]) -> str | TrackingLaw:
-        """Return the law of a learner's environment, or the published one."""
-        if not learned and hasattr(self.policy, "get_vec_normalize_env"):
-            raise without_environment(self.name)
-        law = learned.get("strategy")
-        return law if isinstance(law, TrackingLaw) else REFERENCE_LAW
 
     def _check_policy(self, learned: Mapping[str, Any]) -> None:
         name, policy = self.name, self.policy
