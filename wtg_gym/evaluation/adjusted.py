@@ -21,13 +21,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
 from scipy import special
 
 from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.statistics import CONFIDENCE, Floats, Groups, Indices, Interval, mean_over_groups, worst_tenth
+from wtg_gym.evaluation.statistics import CONFIDENCE, Floats, Groups, Indices, Interval, worst_tenth
 from wtg_gym.files import sha256, to_json
 
 #: Means of the control variates by the name of the suite; docs/studies/law_means.py writes them.
@@ -152,7 +153,7 @@ def _excess(costs: Floats) -> Floats:
 
 def _mean(sides: Sequence[Floats], strata: Sequence[_Stratum]) -> float:
     """Return the sum over the sides of their means over runs, weighted scenarios and strata."""
-    return mean_over_groups(
+    return fmean(
         math.fsum((stratum.weights * side[:, stratum.at]).ravel().tolist()) / len(side)
         for side in sides
         for stratum in strata

@@ -1,5 +1,6 @@
 """An entry: a law, and the policy that modulates it."""
 
+import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -200,13 +201,9 @@ def check_entries(entries: Sequence[Entry]) -> None:
 
 def check_rows(entries: Iterable[Mapping[str, Any]]) -> None:
     """Raise a ValueError unless entries of one name, given by :meth:`Entry.to_dict`, are training seeds of one row."""
-    rows: dict[str, list[Mapping[str, Any]]] = {}
-    for entry in entries:
-        row = rows.setdefault(entry["name"], [])
-        for other in row:
-            if reason := row_conflict(other, entry):
-                raise ValueError(reason)
-        row.append(entry)
+    for entry, other in itertools.combinations(entries, 2):
+        if entry["name"] == other["name"] and (reason := row_conflict(entry, other)):
+            raise ValueError(reason)
 
 
 def row_conflict(entry: Mapping[str, Any], other: Mapping[str, Any]) -> str:
