@@ -77,13 +77,8 @@ def mark_instants(axes: "Axes", scenario: Scenario, *, numbered: bool) -> None:
     instants = [events[0].time_s for events in _by_instant(scenario)]
     for instant in (*instants, *(event.end_s for event in undone(scenario.events, scenario.duration_s))):
         axes.axvline(instant, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
-    groups: list[list[int]] = []
-    for index, instant in enumerate(instants) if numbered else ():
-        if groups and instant - instants[groups[-1][-1]] < _LABEL_WIDTH * scenario.duration_s:
-            groups[-1].append(index)
-        else:
-            groups.append([index])
-    for group in groups:
+    apart = 1 + np.flatnonzero(np.diff(instants) >= _LABEL_WIDTH * scenario.duration_s)
+    for group in np.split(np.arange(len(instants)), apart) if numbered and instants else ():
         place, numbers = sum(instants[i] for i in group) / len(group), ", ".join(str(1 + i) for i in group)
         above = axes.get_xaxis_transform()
         axes.text(place, 1.01, f"({numbers})", transform=above, fontsize=style.SMALL_PT, ha="center")
