@@ -244,13 +244,11 @@ def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked
     style.letter_panel(panels[0], "a", "(J + J0) over that of the law at 100 [-]")
     style.letter_panel(panels[1], "b", "runs lost or beyond 0.8 Hz [%]")
     for name, (margins, costs, bad) in entries.items():
-        ratios, shares, middles = [], [], []
-        for low, high in itertools.pairwise(_EDGES):
-            chosen = (margins >= low) & (margins < high)
-            if chosen.any():
-                middles.append(100.0 * float(margins[chosen].mean()))
-                ratios.append(float(np.exp(np.log(costs[chosen] / entries[hundred][1][chosen]).mean())))
-                shares.append(100.0 * float(bad[chosen].mean()))
+        bins = [(margins >= low) & (margins < high) for low, high in itertools.pairwise(_EDGES)]
+        bins = [chosen for chosen in bins if chosen.any()]
+        middles = [100.0 * margins[chosen].mean() for chosen in bins]
+        ratios = [np.exp(np.log(costs[chosen] / entries[hundred][1][chosen]).mean()) for chosen in bins]
+        shares = [100.0 * bad[chosen].mean() for chosen in bins]
         for axes, values in zip(panels, (ratios, shares), strict=True):
             axes.plot(middles, values, color=looks[name].colour, linestyle=looks[name].dashes, label=name, marker=".")
     panels[0].set_yscale("log")
