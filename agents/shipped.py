@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 #: One record per folder of agents/policies that a command of `agents` trained.
 RECORDS = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
-PICTURE = PAGE.parent / "images" / "training"
+PICTURE = PAGE.parent / "images" / "training.svg"
 _OUTPUT = re.compile(r"(?<= --output )\S+")
 #: What differs between the commands of several seeds.
 _OF_A_SEED = ((re.compile(r" --(seed|output) \S+"), ""), (re.compile(r"( --start \S+-)\d+"), r"\1SEED"))
@@ -113,7 +113,7 @@ def command(*runs: Path) -> None:
     records = files.read_json(RECORDS, "records of the trainings")
     records |= dict(record(run) for run in runs)
     files.write_atomically(RECORDS, files.to_json(records))
-    save_figure(curves(), PICTURE, ["svg"])
+    save_figure(curves(), PICTURE)
     changed = files.update_between_markers(PAGE, table(), "shipped")
     note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
 

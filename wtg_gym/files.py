@@ -14,6 +14,7 @@ import shutil
 import stat
 import tempfile
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -87,37 +88,29 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
     All are written under other names first, so that a full disk is met before the first old file is gone, and then
     replaced in the order of `contents`: bytes, or text (UTF-8, line feeds as given). An OSError names the file.
     """
-    written: list[tuple[Path, Path, Path]] = []
+    written: dict[Path, tuple[Path, Path]] = {}
     try:
         for path, content in contents.items():
-            with _naming(path):
-                # A link stays a link; the file that it points to is replaced.
-                target = path.resolve()
-                target.parent.mkdir(parents=True, exist_ok=True)
-                if target.is_dir():
-                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-                # Random: processes on several machines or in several containers may have the same number.
-                temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}.tmp")
-                written.append((path, temporary, target))
-                with temporary.open("xb") as file:
-                    file.write(content.encode("utf-8") if isinstance(content, str) else content)
-                if target.exists():
-                    shutil.copymode(target, temporary)
-        for path, temporary, target in written:
-            with _naming(path):
-                os.replace(temporary, target)
-    finally:
-        for _, temporary, _ in written:
-            temporary.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Let an OSError name this file: one of writing names none, others the temporary one."""
-    try:
-        yield
+            # A link stays a link; the file that it points to is replaced.
+            target = path.resolve()
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if target.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            # Random: processes on several machines or in several containers may have the same number.
+            temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}.tmp")
+            written[path] = temporary, target
+            with temporary.open("xb") as file:
+                file.write(content.encode("utf-8") if isinstance(content, str) else content)
+            if target.exists():
+                shutil.copymode(target, temporary)
+        for path in written:
+            os.replace(*written[path])
     except OSError as error:
+        # An error of writing names no file, others the temporary one.
         raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
+        for temporary, _ in written.values():
+            temporary.unlink(missing_ok=True)
 
 
 def trusted_folder(path: Path, *, make: bool = False) -> Path:
@@ -302,9 +295,7 @@ def parse_json(text: str, where: str) -> Any:
 def _with_each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     data = dict(pairs)
     if len(data) < len(pairs):
-        seen: set[str] = set()
-        # `add` returns None, so a key is looked up before it is there.
-        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        ((twice, _),) = Counter(key for key, _ in pairs).most_common(1)
         raise ValueError(f"it gives the key {twice!r} more than once")
     return data
 

@@ -13,9 +13,7 @@ _TEXT_SIGNS = f"{_NAME_SIGNS}/:;%!?"
 _LONGEST_NAME, _LONGEST_TEXT = 60, 400
 #: `_so_` would be set in italics, `a_b` is not; `:so:` is a picture, `so:so` may be an address, `&so` may be a sign;
 #: `1. ` begins a list, `GH-1` is a link, and `; =` a formula where a spreadsheet separates by semicolons.
-_MARKUP = re.compile(
-    r"(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|[:&](?! )|www\.|^\d+[.)](?= |$)|\bGH-\d|; *[-=+]", re.IGNORECASE
-)
+_MARKUP = re.compile(r"(?<![A-Z0-9])_|_(?![A-Z0-9])|[:&](?! )|www\.|^\d+[.)](?= |$)|\bGH-\d|; *[-=+]", re.IGNORECASE)
 #: Small letters and digits that are one line or one ring in many typefaces.
 _SAME = str.maketrans("1i0", "llo")
 

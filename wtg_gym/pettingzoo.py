@@ -49,10 +49,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         if "observation_mode" in arguments:
-            raise TypeError(
-                "observation_mode cannot be chosen: agents see what their own groups measure, and state() is the "
-                "privileged observation"
-            )
+            raise TypeError("observation_mode cannot be chosen: agents see their own groups, and state() is privileged")
         #: The environment that the agents share.
         seen = {**arguments, "observation_mode": "privileged"}
         self.single_env = GFMWTGEnv(render_mode=render_mode, **seen)

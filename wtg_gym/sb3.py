@@ -4,7 +4,6 @@ import inspect
 from collections.abc import Iterable
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
@@ -23,6 +22,7 @@ except ImportError as error:
     raise ImportError(f"wtg_gym.sb3 needs Stable-Baselines3; {install_advice('train')}") from error
 
 Info = dict[str, Any]
+Indices = int | Iterable[int] | None
 
 
 class SB3VecEnv(VecEnv):
@@ -63,8 +63,7 @@ class SB3VecEnv(VecEnv):
         if any(self._options):
             raise ValueError(f"SB3VecEnv has no reset options, got {self._options!r:.80}; its vector_env has some")
         self._actions = None
-        seeds: Any = self._seeds
-        observations, infos = self.vector_env.reset(seed=seeds)
+        observations, infos = self.vector_env.reset(seed=list(self._seeds))
         self.reset_infos = [_env_info(infos, env_index) for env_index in range(self.num_envs)]
         self._reset_seeds()
         return observations
@@ -106,7 +105,7 @@ class SB3VecEnv(VecEnv):
         frames: Any = self.vector_env.render()
         return list(frames or ())
 
-    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return an attribute that all share, such as `settings` or `observation_names`, once per environment.
 
         An AttributeError says that there is none, that it is a method, or an environment's own that cannot be read.
@@ -118,23 +117,15 @@ class SB3VecEnv(VecEnv):
             raise AttributeError(f"the environments are stepped together and have no {attr_name!r} of their own")
         return [value] * len(np.arange(self.num_envs)[list(self._get_indices(indices))])
 
-    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Raise an AttributeError: the arguments of an environment are fixed."""
-        raise AttributeError(
-            f"cannot set {attr_name!r} of single environments: make a new SB3VecEnv with other arguments"
-        )
+        raise AttributeError(f"cannot set {attr_name!r} of single environments: make them anew with other arguments")
 
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: int | Iterable[int] | None = None, **method_kwargs: Any
-    ) -> list[Any]:
+    def env_method(self, method_name: str, *arguments: Any, indices: Indices = None, **keywords: Any) -> list[Any]:
         """Raise an AttributeError: the environments are stepped together and are no objects of their own."""
-        raise AttributeError(
-            f"cannot call {method_name!r} of single environments; `vector_env` has the methods of the batch"
-        )
+        raise AttributeError(f"cannot call {method_name!r} of single environments; `vector_env` has those of the batch")
 
-    def env_is_wrapped(
-        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: int | Iterable[int] | None = None
-    ) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
         """Return False per environment asked for: none can have a wrapper of its own."""
         return [False for _ in self._get_indices(indices)]
 
@@ -152,13 +143,8 @@ def _env_info(infos: Info, env_index: int) -> Info:
 class _Monitor(VecMonitor):
     """The monitor of Stable-Baselines3, with sums that an interrupt leaves in step, and with copies."""
 
-    @undivided
-    def reset(self) -> Any:
-        return super().reset()
-
-    @undivided
-    def step_wait(self) -> Any:
-        return super().step_wait()
+    reset: Any = undivided(VecMonitor.reset)
+    step_wait: Any = undivided(VecMonitor.step_wait)
 
     def __getstate__(self) -> dict[str, Any]:
         # What belongs to the class cannot be copied, and need not.

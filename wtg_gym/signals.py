@@ -58,10 +58,7 @@ class HeldSignals:
         self._arrived[number] = frame
 
     def _release(self) -> None:
-        """Put handlers back, but where the block has set others, and run those whose signal has arrived.
-
-        All of them run, even if some raise.
-        """
+        """Put handlers back, but where the block has set others, and run all whose signal came, even if some raise."""
         try:
             for number, handler in self._handlers.items():
                 if getsignal(number) == self._note:

@@ -94,7 +94,7 @@ def main(docs):
     page = docs / "grid-forming.md"
     update_between_markers(page, described(), "tests")
     update_between_markers(page, verdicts(runs), "verdicts")
-    save_figure(picture({name: runs[name] for name in DRAWN}), docs / "physics" / "grid-forming", ("svg",))
+    save_figure(picture({name: runs[name] for name in DRAWN}), docs / "physics" / "grid-forming.svg")
 
 
 if __name__ == "__main__":

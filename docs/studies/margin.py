@@ -39,7 +39,7 @@ def main() -> None:
     suite = get_suite(SUITE)
     results = evaluate(list(ENTRIES), SUITE, "validation")
     entries = over_margin(results)
-    save_figure(plot_over_margin(entries, suite.task.hundred), docs / "images/margin", ["svg"])
+    save_figure(plot_over_margin(entries, suite.task.hundred), docs / "images/margin.svg")
     table = strata(entries, list(results.seeds), suite.task.hundred)
     update_between_markers(docs / "benchmark.md", table, "strata")
 

@@ -147,11 +147,11 @@ if __name__ == "__main__":
         print(f"{name}: {np.nanmax(run.unserved_mw):.0f} MW not served at most")
     # The list of events fills the line: without the suite's name.
     scenario = replace(scenarios[0], name=scenarios[0].name.partition("/")[2])
-    save_figure(plot_one_event(scenario, runs, settings.resolved_plant), docs / "images" / "one-event", ["svg"])
+    save_figure(plot_one_event(scenario, runs, settings.resolved_plant), docs / "images" / "one-event.svg")
     suite, compared = get_suite(SUITE), entries[2:]
     of_strata = {}
     for stratum in suite.strata[1:]:
         drawn = suite.scenarios([each for each in suite.validation[:60] if suite.stratum(each) == stratum])
         of_strata[stratum] = {entry.name: recorded(entry, settings, drawn) for entry in compared}
     lenders = {entry.name: runs[entry.name] for entry in compared}
-    save_figure(plot_energy(scenario, lenders, of_strata), docs / "images" / "energy", ["svg"])
+    save_figure(plot_energy(scenario, lenders, of_strata), docs / "images" / "energy.svg")

@@ -476,10 +476,9 @@ def main(docs):
     write_atomically(docs / "validation" / "claims.json", to_json({"claims": claims}))
     for seed, name in enumerate(("load-increase", "load-decrease")):
         figure = plot_trajectories(cases[seed], get_suite("paper").scenario(seed))
-        save_figure(figure, docs / "validation" / "figures" / name, ("svg",))
+        save_figure(figure, docs / "validation" / "figures" / f"{name}.svg")
     for name in ("mppt", *COMPARED):
-        file = docs / "validation" / "figures" / f"characteristic-{name}"
-        save_figure(characteristic(LAWS[name]), file, ("svg",))
+        save_figure(characteristic(LAWS[name]), docs / "validation" / "figures" / f"characteristic-{name}.svg")
     if (page := docs / "validation.md").exists():
         update_between_markers(page, claims_table(claims), "claims")
     for claim in claims:

@@ -95,7 +95,7 @@ def main(docs):
         results = verdicts(plant, increases[name], case_study(DECREASE, plant))
         columns.append([f"{'yes' if holds else '**no**'}: {text}" for holds, text in results])
     rows = list(zip(CONCLUSIONS, *columns, strict=True))
-    save_figure(plot_trajectories(increases["extended"], INCREASE), docs / "physics" / "load-increase", ["svg"])
+    save_figure(plot_trajectories(increases["extended"], INCREASE), docs / "physics" / "load-increase.svg")
     update_between_markers(docs / "physics.md", markdown_table(("the paper concludes", *PLANTS), rows), "survival")
 
 

@@ -142,7 +142,7 @@ def draw(results):
 def main(docs):
     """Renew the page and its pictures."""
     results = {run: errors(run) for run in RUNS}
-    style.save_figure(draw(results), docs / "validation" / "accuracy", ["svg"])
+    style.save_figure(draw(results), docs / "validation" / "accuracy.svg")
     update_between_markers(docs / "validation.md", step_table(results), "accuracy")
     update_between_markers(docs / "validation.md", golden_summary(), "golden")
 

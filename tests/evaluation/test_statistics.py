@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from wtg_gym.evaluation import Interval, score, statistics
+from wtg_gym.evaluation import Interval, score, statistics, summary
 from wtg_gym.evaluation.adjusted import Adjusted, ControlVariates, KnownMeans, known_means
+from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.statistics import Bootstrap, Groups
 from wtg_gym.scenarios import DEFAULT_SUITE, FROZEN_HASHES
 from wtg_gym.tasks import V0, V1
@@ -51,8 +52,10 @@ def test_score_is_the_written_formula():
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
 def test_failure_costs_the_worst_there_is_and_impossible_costs_are_refused(bad):
-    assert score.pinned_cost(12.0, failed=True, duration_s=60.0, cap=50.0) == 3050.0
-    assert score.pinned_cost(12.0, failed=False, duration_s=60.0, cap=50.0) == 12.0
+    known = {"entry": "mine", "training_seed": None, "seed": 0, "scenario": "any", "metrics": {"cost": 12.0}}
+    run = [Episode(**known, duration_s=60.0, failure=failure) for failure in ("stall", "")]
+    assert summary.pinned_costs([run], 50.0).tolist() == [[3050.0, 12.0]]
+    assert summary.pinned_costs([run], None).tolist() == [[12.0, 12.0]]
     with pytest.raises(ValueError, match="finite and not negative"):
         score.gains(np.array([[1.0, bad]]), np.ones(2), np.full(2, 5.0))
 

@@ -1,7 +1,7 @@
 """`wtg-gym play`: a page in the browser, served on this machine only."""
 
 import webbrowser
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter, validators
 
@@ -45,10 +45,7 @@ def play(
     output.require_extra("bokeh", "wtg-gym play")
     from bokeh.server.server import Server
 
-    def fill(document: Any) -> None:
-        PlayPage(document, match, speed)
-
-    server = Server({"/": fill}, port=port, address="localhost")
+    server = Server({"/": lambda document: PlayPage(document, match, speed)}, port=port, address="localhost")
     url = f"http://localhost:{server.port}/"
     server.start()
     output.note(f"open {url} (Ctrl-C ends it)")

@@ -61,8 +61,7 @@ def report(
     with Progress("episodes") as progress:
         scores = stored or evaluate(chosen[0], page.SUITE, split, **how, on_progress=progress.update)
     made = page.Report(entry=chosen[0], spec=entry, results=scores, stored=bool(stored), drawn=drawn, n_threads=threads)
-    with Progress("sections") as progress:
-        files = page.report_files(made, output.stem, progress.update)
+    files = page.report_files(made, output.stem)
     html = files.pop(f"{output.stem}.html")
     if output.suffix != ".md":
         files = {output.name: html}

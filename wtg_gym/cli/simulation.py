@@ -102,9 +102,7 @@ def read_scenario(path: Path, suite: Suite) -> Scenario:
     with interpreting(path, "scenario file"):
         scenario = Scenario.from_dict(data)
     if scenario.sensors is not None and not suite.task.has_sensors:
-        raise ValueError(
-            f"{path} has sensors, as scenarios of version v1: say with --suite whose grid it is, such as standard-v1"
-        )
+        raise ValueError(f"{path} has sensors, as those of v1: say with --suite whose grid it is, such as standard-v1")
     return scenario
 
 

@@ -147,21 +147,17 @@ def _write_cards(folder: Path, entries: "Mapping[Path, Entry]", played: "Results
     """Write the pages about entries that were played, of each name about the first, if they are of the page's suite."""
     from wtg_gym.files import write_together
     from wtg_gym.plotting import report as page
-    from wtg_gym.progress import Progress
 
     if played.suite != page.SUITE:
         return
-    missing = {row["name"] for row in played.entries}
+    first = {entry.name: path for path, entry in reversed(list(entries.items()))}
     for path, entry in entries.items():
-        if entry.name not in missing:
-            continue
-        missing.discard(entry.name)
         results = page.part_of_entry(played, entry)
-        assert results is not None
+        if results is None or path != first[entry.name]:
+            continue
         made = page.Report(entry=entry, spec=_shown(path), results=results, stored=True, n_threads=n_threads)
         try:
-            with Progress("sections") as progress:
-                files = page.report_files(made, path.name, progress.update)
+            files = page.report_files(made, path.name)
         except ValueError as error:
             note(f"no page about {entry.name}: {error}")
             continue

@@ -21,13 +21,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
 from scipy import special
 
 from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.statistics import CONFIDENCE, Floats, Groups, Indices, Interval, mean_over_groups, worst_tenth
+from wtg_gym.evaluation.statistics import CONFIDENCE, Floats, Groups, Indices, Interval, worst_tenth
 from wtg_gym.files import sha256, to_json
 
 #: Means of the control variates by the name of the suite; docs/studies/law_means.py writes them.
@@ -110,9 +111,7 @@ class Adjusted:
         self._points = 100.0 / scale
         self._groups = groups
         self._plain = [_Stratum(at, None, name) for name, at in groups.items()]
-        self._strata = (
-            self._plain if variates is None else [_Stratum(at, variates, name) for name, at in groups.items()]
-        )
+        self._strata = [_Stratum(at, variates, name) for name, at in groups.items()]
 
     def points(self, gains: Floats) -> float:
         """Return the points above 100 that gains make."""
@@ -154,7 +153,7 @@ def _excess(costs: Floats) -> Floats:
 
 def _mean(sides: Sequence[Floats], strata: Sequence[_Stratum]) -> float:
     """Return the sum over the sides of their means over runs, weighted scenarios and strata."""
-    return mean_over_groups(
+    return fmean(
         math.fsum((stratum.weights * side[:, stratum.at]).ravel().tolist()) / len(side)
         for side in sides
         for stratum in strata
@@ -181,8 +180,6 @@ def _interval(sides: Sequence[Floats], strata: Sequence[_Stratum], offset: float
         shared = sum(stratum.variance(apart[:, stratum.at]).sum() for stratum in strata) / len(strata) ** 2
         parts.append((max(between - shared / (n_runs - 1) / n_runs, 0.0), n_runs - 1))
     variance = math.fsum(part for part, _ in parts)
-    quantiles = math.fsum(
-        part * float(special.stdtrit(n_free, 0.5 + 0.5 * CONFIDENCE)) for part, n_free in parts if part
-    )
+    quantiles = math.fsum(part * special.stdtrit(n_free, 0.5 + 0.5 * CONFIDENCE) for part, n_free in parts if part)
     half = quantiles / math.sqrt(variance) if variance else 0.0
     return Interval(value, value - half, value + half)

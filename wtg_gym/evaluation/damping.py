@@ -186,9 +186,8 @@ class Loop:
         n, n_held = len(a), self.n_held
         powers = [np.linalg.matrix_power(a, j) for j in range(n_held + 1)]
         held = [sum(powers[:j], np.zeros_like(a)) @ b for j in range(n_held + 1)]
-        matrix = np.block(
-            [[powers[n_held], held[n_held] @ k, held[n_held] @ m], [c, d @ k, d @ m], [np.zeros((len(g), n)), f, g]]
-        )
+        moved = [powers[-1], held[-1] @ k, held[-1] @ m]
+        matrix = np.block([moved, [c, d @ k, d @ m], [np.zeros((len(g), n)), f, g]])
         keep = _moving(matrix)
         values, vectors = np.linalg.eig(matrix[np.ix_(keep, keep)])
         whole = np.zeros((len(matrix), values.size), dtype=np.complex128)
@@ -220,18 +219,12 @@ class Loop:
     def _plant(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return A and B of an interval, and C and D of what is observed at the end of a decision."""
         tape, rows, last = self.tape, self._rows, self.tape.n_steps - 1
-        n_observation, terms = tape.batch.n_observation, np.zeros((1, len(cost.COST_TERMS)))
-        states, actions = [], []
-        for row in rows:
-            carried = np.zeros((1, tape.n_carried))
-            carried[0, row] = 1.0
-            pulled = tape.pull(last, carried, terms)
-            states.append(pulled.carried[0, rows])
-            actions.append(pulled.actions[0])
+        terms = np.zeros((1, len(cost.COST_TERMS)))
+        pulls = [tape.pull(last, unit, terms) for unit in np.eye(tape.n_carried)[rows, np.newaxis]]
+        states, actions = ([each.carried[0, rows] for each in pulls], [each.actions[0] for each in pulls])
         seen_states, seen_actions = [], []
-        for place in range(n_observation):
-            carried, shown, of_actions = np.zeros((1, tape.n_carried)), np.zeros((1, n_observation)), 0.0
-            shown[0, place] = 1.0
+        for shown in np.eye(tape.batch.n_observation)[:, np.newaxis]:
+            carried, of_actions = np.zeros((1, tape.n_carried)), 0.0
             for step in range(last, last - self.n_held, -1):
                 pulled = tape.pull(step, carried, terms, shown if step == last else None)
                 carried, of_actions = pulled.carried, of_actions + pulled.actions[0]

@@ -100,17 +100,15 @@ def episode_from_cells(cells: Sequence[str], where: str) -> Episode:
             raise ValueError(f"{where}: {column} must be {allowed}, got {row[column]!r:.80}")
         return value
 
-    if row["failure"] not in FAILURES:
-        raise ValueError(
-            f"{where}: failure must be empty or one of {', '.join(FAILURES[1:])}, got {row['failure']!r:.80}"
-        )
+    if (failure := row["failure"]) not in FAILURES:
+        raise ValueError(f"{where}: failure must be empty or one of {', '.join(FAILURES[1:])}, got {failure!r:.80}")
     return Episode(
         entry=row["entry"],
         training_seed=None if row["training_seed"] == "" else whole("training_seed"),
         seed=whole("seed"),
         scenario=row["scenario"],
         duration_s=number("duration_s", "s"),
-        failure=row["failure"],
+        failure=failure,
         metrics={
             name: None if metric.optional and row[name] == "" else number(name, metric.unit)
             for name, metric in METRICS.items()

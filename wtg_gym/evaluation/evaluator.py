@@ -6,7 +6,7 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from wtg_gym.evaluation.episodes import COLUMNS, Episode, check_size
 from wtg_gym.evaluation.metrics import frequencies, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
-from wtg_gym.evaluation.workers import Played, Workers
+from wtg_gym.evaluation.workers import Part, Played, Playing, Workers
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError, policy_process
 from wtg_gym.policies.entry import check_entries, check_version, run_label
@@ -34,8 +34,6 @@ from wtg_gym.tasks import V0
 from wtg_gym.tasks.episode import TIME_CONSTANT_RATIO
 
 Progress = Callable[[str, int, int], None]
-#: A batch: an entry, and the seeds of the scenarios that it plays at once.
-_Part = tuple[Entry, list[int]]
 #: What :func:`evaluate` plays: names, paths or entries, one or several.
 Entries = str | Path | Entry | Sequence[str | Path | Entry]
 #: How often the policies of an evaluation that ends early are closed until their threads have ended [s].
@@ -112,7 +110,7 @@ def evaluate(
     ).without(failures)
 
 
-def _parts(entry: Entry, seeds: list[int], batch: int) -> list[_Part]:
+def _parts(entry: Entry, seeds: list[int], batch: int) -> list[Part]:
     """Return the batches that an entry is played in."""
     size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
     return [(entry, seeds[first : first + size]) for first in range(0, len(seeds), size)]
@@ -200,17 +198,14 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
 
 def _episodes(
     store: PartialStore,
-    parts: Sequence[_Part],
+    parts: Sequence[Part],
     settings: EnvSettings,
     n_threads: int | None,
     workers: Workers | None,
     on_progress: Progress | None,
     needed: Collection[str],
 ) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
-    """Return the episodes in the order of the parts, and how entries failed, by name and training seed.
-
-    Stored parts are read, the others are played and stored. The failure of an entry that is needed is raised.
-    """
+    """Read stored parts, play and store the others; return all episodes in order, and how entries not needed failed."""
     episodes: dict[int, list[Episode]] = {}
     failures: dict[tuple[str, int | None], str] = {}
     n_done, n_all, suite_hash = 0, sum(len(seeds) for _, seeds in parts), settings.resolved_suite.hash
@@ -228,7 +223,7 @@ def _episodes(
         if on_progress is not None:
             on_progress(entry.name, n_done, n_all)
 
-    remaining: dict[int, _Part] = {}
+    remaining: dict[int, Part] = {}
     for index, part in enumerate(parts):
         if (stored := store.load(*part)) is None:
             remaining[index] = part
@@ -241,18 +236,14 @@ def _episodes(
     with contextlib.closing(playing) as batches:
         for index, played in batches:
             if get_suite(settings.suite_name).hash != suite_hash:
-                raise ValueError(
-                    f"the suite {settings.suite_name} was written anew while it was played: evaluate again"
-                )
+                raise ValueError(f"suite {settings.suite_name} was written anew while it was played: evaluate again")
             if not isinstance(played, PolicyError):
                 store.save(*parts[index], played)
             take(index, played)
     return [episode for index in sorted(episodes) for episode in episodes[index]], failures
 
 
-def _played_here(
-    parts: Mapping[int, _Part], settings: EnvSettings, n_threads: int | None
-) -> Generator[tuple[int, Played], None, None]:
+def _played_here(parts: Mapping[int, Part], settings: EnvSettings, n_threads: int | None) -> Playing:
     failures: dict[str, PolicyError] = {}
     playing: list[OnnxPolicy] = []
 

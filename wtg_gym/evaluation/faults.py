@@ -5,6 +5,7 @@ A law has no sensors: nothing changes for it.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,14 +21,10 @@ from wtg_gym.tasks import V1
 from wtg_gym.tasks.episode import ACTION_MODES
 
 
-def _worse(change: Callable[[Sensors], dict[str, Any]]) -> Callable[[Scenario], Scenario]:
-    """Return what gives a scenario's sensors other values, which are made of those they have."""
-
-    def changed(scenario: Scenario) -> Scenario:
-        assert scenario.sensors is not None
-        return replace(scenario, sensors=replace(scenario.sensors, **change(scenario.sensors)))
-
-    return changed
+def _worse(scenario: Scenario, change: Callable[[Sensors], dict[str, Any]]) -> Scenario:
+    """Return a scenario whose sensors have other values, which are made of those they have."""
+    assert scenario.sensors is not None
+    return replace(scenario, sensors=replace(scenario.sensors, **change(scenario.sensors)))
 
 
 def hanging(seen: Floats, kept: Floats) -> None:
@@ -42,8 +39,8 @@ def silent(seen: Floats, _kept: Floats) -> None:
 
 #: Changes of a scenario's sensors, by what is said of them.
 WORSE_SENSORS: Mapping[str, Callable[[Scenario], Scenario]] = {
-    "delay +0.5 s": _worse(lambda sensors: {"delay_s": round(sensors.delay_s + 0.5, 9)}),
-    "wind bias × 4": _worse(lambda sensors: {"wind_bias": tuple(4.0 * bias for bias in sensors.wind_bias)}),
+    "delay +0.5 s": partial(_worse, change=lambda sensors: {"delay_s": round(sensors.delay_s + 0.5, 9)}),
+    "wind bias × 4": partial(_worse, change=lambda sensors: {"wind_bias": tuple(4.0 * x for x in sensors.wind_bias)}),
 }
 #: Faults of the sensors of the first group, the largest, with the step from which on.
 SENSOR_FAULTS: Mapping[str, tuple[Callable[[Floats, Floats], None], int]] = {
@@ -62,9 +59,7 @@ class FaultyPolicy:
     since: int  # step
     n_parts: int = 1  # parts that each environment's observation is given in: its groups, of a policy for one group
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
+    def predict(self, observation: Any, state: Any = None, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:
         """Return (actions (num_envs, n_action), next state)."""
         seen = np.array(observation)
         first = seen[:: self.n_parts, : self.width]
@@ -73,9 +68,7 @@ class FaultyPolicy:
             kept = first.copy()
         if step >= self.since:
             self.fault(first, kept)
-        actions, memory = self.policy.predict(
-            seen, state=memory, episode_start=episode_start, deterministic=deterministic
-        )
+        actions, memory = self.policy.predict(seen, memory, *arguments, **keywords)
         return actions, (step + 1, kept, memory)
 
 

@@ -101,8 +101,7 @@ def measure(batch: EnvBatch, env: int, frequency_hz: Floats) -> dict[str, Any]:
         return float(batch.task_values(name)[env])
 
     def groups(name: str) -> list[float]:
-        values: list[float] = simulator.wtg_values(name)[env].tolist()
-        return values
+        return list(simulator.wtg_values(name)[env].tolist())
 
     terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, batch.cost_sums()[env], strict=True)}
     energies = zip(simulator.plant.share, groups("energy_captured"), strict=True)

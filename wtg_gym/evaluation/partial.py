@@ -23,9 +23,9 @@ class PartialStore:
 
     def __init__(self, folder: str | Path | None, context: Any) -> None:
         self._folder = None if folder is None else Path(folder)
-        if self._folder is not None and self._folder.exists() and not self._folder.is_dir():
-            raise ValueError(f"partial must be a folder for finished batches, got the file {folder}")
         if self._folder is not None:
+            if self._folder.exists() and not self._folder.is_dir():
+                raise ValueError(f"partial must be a folder for finished batches, got the file {folder}")
             try:
                 self._folder.parent.mkdir(parents=True, exist_ok=True)
                 files.trusted_folder(self._folder, make=True)
@@ -70,9 +70,8 @@ class PartialStore:
         path = self._path(entry, seeds)
         if path is not None:
             rows = [episode.cells() for episode in episodes]
-            files.write_trusted(
-                path, files.to_json({"rows": rows, "sha256": self._digest(entry, seeds, rows)}).encode()
-            )
+            data = {"rows": rows, "sha256": self._digest(entry, seeds, rows)}
+            files.write_trusted(path, files.to_json(data).encode())
             self._used.append(path)
 
     def clear(self) -> None:

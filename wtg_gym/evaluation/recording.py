@@ -48,12 +48,8 @@ class Recorded:
         """Return the means over some of the episodes, `chosen` (num_envs,)."""
         power_mw = mean(self.power_mw[1:, chosen])
         change_mj = np.diff(self.stored_mj[:, chosen], axis=0) / chosen.sum()
-        return Energy(
-            power_mw,
-            power_mw * float(self.time_s[-1]) / _MJ_PER_MWH,
-            -float(np.minimum(change_mj, 0.0).sum()),
-            float(np.maximum(change_mj, 0.0).sum()),
-        )
+        lent, repaid = (float(part.sum()) for part in (np.minimum(change_mj, 0.0), np.maximum(change_mj, 0.0)))
+        return Energy(power_mw, power_mw * float(self.time_s[-1]) / _MJ_PER_MWH, -lent, repaid)
 
 
 def recorded(entry: Entry, settings: EnvSettings, scenarios: Sequence[Scenario], n_threads: int | None = 1) -> Recorded:

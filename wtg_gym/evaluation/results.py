@@ -303,11 +303,9 @@ def _frequency_sentence(results: Results) -> str:
     if learned is not None:
         labels[learned.name] = f"`{learned.name}`, the learned entry that scores most"
     deviations = {row.name: row.median_deviation_mhz for row in rows}
-    parts = [f"{deviations[name]:.0f} mHz with {words}" for name, words in labels.items()]
-    return (
-        f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
-        f"{', '.join(parts)}."
-    )
+    parts = ", ".join(f"{deviations[name]:.0f} mHz with {words}" for name, words in labels.items())
+    scenarios = f"{len(results.seeds)} {results.split} scenarios"
+    return f"Median over {scenarios} of the largest deviation of the frequency: {parts}."
 
 
 def _read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:

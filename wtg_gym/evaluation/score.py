@@ -19,14 +19,12 @@ import numpy as np
 from wtg_gym.evaluation.statistics import Floats, Groups, mean
 from wtg_gym.tasks import Task
 
+# Those of `math`, because numpy's own logarithms differ between processors in the last bit.
+_log, _log1p = (np.vectorize(function, otypes=[np.float64]) for function in (math.log, math.log1p))
+
 
 class NoScaleError(ValueError):
     """No scores on these scenarios: the entry at 0 is not worse than the entry at 100."""
-
-
-def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> float:
-    """Return the pinned cost of an episode that should have lasted so long [s], with the largest cost rate [1/s]."""
-    return cap * (duration_s + 1.0) if failed else cost
 
 
 def cost_offsets(groups: Groups, task: Task) -> Floats:
@@ -45,13 +43,8 @@ def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
     for values in (costs, hundred):
         if not np.isfinite(values).all() or (values < 0.0).any():
             raise ValueError(f"costs must be finite and not negative, got {values.min():g} … {values.max():g}")
-
-    # math.log, because numpy's own logarithm differs between processors in the last bit.
-    def logarithms(row: Floats) -> Floats:
-        return np.array([math.log(value) for value in (row + offsets).tolist()])
-
-    base = logarithms(hundred)
-    return np.array([base - logarithms(run) for run in costs])
+    gained: Floats = _log(hundred + offsets) - _log(costs + offsets)
+    return gained
 
 
 def score_scale(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> float:
@@ -77,14 +70,7 @@ def gains_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: 
     Source: the logarithmic mean Divisia index (LMDI) of B. W. Ang, Energy Policy 32 (2004) 1131-1139 and 33 (2005)
     867-871.
     """
-    parts = hundred_terms[:, np.newaxis] - terms
-    parts *= [
-        [_inverse_log_mean(*arguments) for arguments in zip(hundred.tolist(), run, offsets.tolist(), strict=True)]
-        for run in costs.tolist()
-    ]
+    ratios = (hundred - costs) / (costs + offsets)
+    per_ratio = np.divide(_log1p(ratios), ratios, out=np.ones_like(ratios), where=ratios != 0.0)
+    parts: Floats = (hundred_terms[:, np.newaxis] - terms) * (per_ratio / (costs + offsets))
     return parts
-
-
-def _inverse_log_mean(hundred: float, cost: float, offset: float) -> float:
-    ratio = (hundred - cost) / (cost + offset)
-    return (math.log1p(ratio) / ratio if ratio else 1.0) / (cost + offset)

@@ -7,8 +7,9 @@ both.
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from statistics import fmean
 
 import numpy as np
 import numpy.typing as npt
@@ -38,13 +39,7 @@ class Interval:
 
 def mean(values: Floats) -> float:
     """Return the exactly rounded mean of all values."""
-    return math.fsum(values.ravel().tolist()) / values.size
-
-
-def mean_over_groups(values: Iterable[float]) -> float:
-    """Return the mean of a value of each group: strata count alike."""
-    listed = list(values)
-    return math.fsum(listed) / len(listed)
+    return fmean(values.ravel().tolist())
 
 
 @functools.lru_cache(maxsize=4)
@@ -76,8 +71,8 @@ def _percentile_interval(value: float, samples: Floats) -> Interval:
 
 
 def share(happened: Floats, groups: Groups) -> float:
-    """Return how often something happened [%], from 1 where it did and 0 where not, (n_runs, n_scenarios)."""
-    return 100.0 * mean_over_groups(mean(happened[:, group]) for group in groups.values())
+    """Return how often something happened [%], all strata alike: 1 where it did, 0 where not, (n_runs, n_scenarios)."""
+    return 100.0 * fmean(mean(happened[:, group]) for group in groups.values())
 
 
 def sign_test(happened: Floats, other: Floats) -> float:
@@ -111,15 +106,7 @@ class Bootstrap:
     """
 
     def __init__(self, zero: Floats) -> None:
-        self._zero = zero
-
-    @functools.cached_property
-    def _scale(self) -> float:
-        return -mean(self._zero)
-
-    @functools.cached_property
-    def _scales(self) -> Floats:
-        return -_resampled(self._zero[np.newaxis])
+        self._scale, self._scales = -mean(zero), -_resampled(zero[np.newaxis])
 
     def points(self, gains: Floats) -> float:
         """Return the points above 100 that gains make."""

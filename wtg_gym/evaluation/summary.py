@@ -9,7 +9,7 @@ import numpy as np
 
 from wtg_gym.evaluation import adjusted, statistics
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.score import cost_offsets, gains, gains_by_term, pinned_cost
+from wtg_gym.evaluation.score import cost_offsets, gains, gains_by_term
 from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
 from wtg_gym.scenarios.suite import Suite
 
@@ -132,11 +132,8 @@ def pinned_costs(runs: Runs, cap: float | None) -> Floats:
     costs = _values(runs, "cost")
     if cap is None:
         return costs
-    pinned = [
-        [pinned_cost(cost, failed=e.failed, duration_s=e.duration_s, cap=cap) for cost, e in zip(*pair, strict=True)]
-        for pair in zip(costs.tolist(), runs, strict=True)
-    ]
-    return np.array(pinned)
+    durations_s = np.array([[episode.duration_s for episode in run] for run in runs])
+    return np.where(lost(runs), cap * (durations_s + 1.0), costs)
 
 
 def _values(runs: Runs, metric: str) -> Floats:

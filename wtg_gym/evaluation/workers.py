@@ -32,6 +32,10 @@ _CONNECT_S = 15
 
 #: The episodes of a batch, or how the entry's policy failed.
 Played = list[Episode] | PolicyError
+#: A batch: an entry, and the seeds of the scenarios that it plays at once.
+Part = tuple[Entry, list[int]]
+#: Batches by their index, as soon as each is played.
+Playing = Generator[tuple[int, Played], None, None]
 #: Plays one batch: entry, settings, seeds, number of threads.
 Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], Played]
 
@@ -61,10 +65,8 @@ class Workers:
         if importlib.util.find_spec(BACKENDS[backend]) is None:
             raise ValueError(f"backend {backend} needs {BACKENDS[backend]}; {install_advice('cluster')}")
 
-    def play(
-        self, play: Play, settings: EnvSettings, parts: Mapping[int, tuple[Entry, list[int]]]
-    ) -> Generator[tuple[int, Played], None, None]:
-        """Yield (index, episodes or the policy's failure) of every part, (entry, seeds), as soon as it is finished.
+    def play(self, play: Play, settings: EnvSettings, parts: Mapping[int, Part]) -> Playing:
+        """Yield (index, episodes or the policy's failure) of every part, as soon as it is finished.
 
         A ValueError says that an entry cannot travel, that the cluster does not answer, or that a worker has other
         code, packages or processor, or is lost for good.

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import damping, evaluator, faults, grid_tests, recording, score, statistics, table
+from wtg_gym.evaluation import damping, faults, grid_tests, recording, score, statistics, table
 from wtg_gym.evaluation.results import Results, score_difference
 from wtg_gym.evaluation.summary import EntrySummary, Runs, lost, lost_or_beyond
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import style, trajectories
 from wtg_gym.policies import Entry, entry_folder
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 
 if TYPE_CHECKING:
@@ -77,17 +78,14 @@ class Section:
 
     def markdown(self, stem: str) -> str:
         """Return the section as Markdown, with pictures in files that are called after the page's stem."""
-        parts = [f"## {self.heading}", _plain(self.sentence)]
-        if self.rows:
-            cells = [[_plain(cell) for cell in row] for row in self.rows]
-            parts.append(markdown_table(self.header, cells, right=self.numbers))
-        if self.note:
-            parts.append(_plain(self.note))
+        cells = [[_plain(cell) for cell in row] for row in self.rows]
+        rows = markdown_table(self.header, cells, right=self.numbers) if cells else ""
+        parts = [f"## {self.heading}", _plain(self.sentence), rows, _plain(self.note)]
         for picture in self.pictures:
             if picture.command:
                 parts.append(f"{_plain(picture.caption)}\n\n```sh\n{picture.command}\n```")
             parts.append(f"![{_plain(picture.caption)}]({stem}-{picture.name}.svg)")
-        return "\n\n".join(parts)
+        return "\n\n".join(filter(None, parts))
 
 
 def _plain(text: str) -> str:
@@ -142,11 +140,10 @@ def part_of_entry(results: Results, entry: Entry) -> Results | None:
     return replace(results, entries=tuple(kept.values()), episodes=episodes, failed=())
 
 
-def report_files(report: Report, stem: str, on_progress: evaluator.Progress) -> dict[str, bytes | str]:
+def report_files(report: Report, stem: str) -> dict[str, bytes | str]:
     """Play what the sections show, and return the page as `stem`.md, its pictures, and all in one as `stem`.html.
 
-    `on_progress` is called with what is under way, and the sections done. HTML needs markdown-it-py. A PolicyError says
-    that the entry's policy fails.
+    Progress is shown on stderr. HTML needs markdown-it-py. A PolicyError says that the entry's policy fails.
     """
     entry, versions = report.entry, report.results.versions
     source = f"Source: {entry.source}." if entry.source else ""
@@ -156,12 +153,13 @@ def report_files(report: Report, stem: str, on_progress: evaluator.Progress) -> 
     subtitle = [entry.description, f"Kind: {entry.kind}{beneath}.", source, scores]
     title, pictures = f"Report: {entry.label}", dict[str, bytes]()
     parts = [f"# {_plain(title)}", _plain(" ".join(filter(None, subtitle)))]
-    for done, section_of in enumerate(_SECTIONS):
-        on_progress(section_of.__name__.strip("_").replace("_", " "), done, len(_SECTIONS))
-        section = section_of(report)
-        parts.append(section.markdown(stem))
-        for picture in section.pictures:
-            pictures[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
+    with Progress("sections") as progress:
+        for done, section_of in enumerate(_SECTIONS):
+            progress.update(section_of.__name__.strip("_").replace("_", " "), done, len(_SECTIONS))
+            section = section_of(report)
+            parts.append(section.markdown(stem))
+            for picture in section.pictures:
+                pictures[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
     page = "\n\n".join(parts) + "\n"
     return {**pictures, f"{stem}.md": page, f"{stem}.html": _html(title, page, pictures)}
 
@@ -246,13 +244,11 @@ def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked
     style.letter_panel(panels[0], "a", "(J + J0) over that of the law at 100 [-]")
     style.letter_panel(panels[1], "b", "runs lost or beyond 0.8 Hz [%]")
     for name, (margins, costs, bad) in entries.items():
-        ratios, shares, middles = [], [], []
-        for low, high in itertools.pairwise(_EDGES):
-            chosen = (margins >= low) & (margins < high)
-            if chosen.any():
-                middles.append(100.0 * float(margins[chosen].mean()))
-                ratios.append(float(np.exp(np.log(costs[chosen] / entries[hundred][1][chosen]).mean())))
-                shares.append(100.0 * float(bad[chosen].mean()))
+        bins = [(margins >= low) & (margins < high) for low, high in itertools.pairwise(_EDGES)]
+        bins = [chosen for chosen in bins if chosen.any()]
+        middles = [100.0 * margins[chosen].mean() for chosen in bins]
+        ratios = [np.exp(np.log(costs[chosen] / entries[hundred][1][chosen]).mean()) for chosen in bins]
+        shares = [100.0 * bad[chosen].mean() for chosen in bins]
         for axes, values in zip(panels, (ratios, shares), strict=True):
             axes.plot(middles, values, color=looks[name].colour, linestyle=looks[name].dashes, label=name, marker=".")
     panels[0].set_yscale("log")
@@ -264,9 +260,8 @@ def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked
         for edge in (0.0, 10.0):
             axes.axvline(edge, color="0.8", linewidth=0.8, zorder=0)
         axes.set_xlabel("reserve margin [% of the load]")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2 if stacked else len(entries)
-    )
+    legend = panels[0].get_legend_handles_labels()
+    figure.legend(*legend, loc="outside lower center", ncols=2 if stacked else len(entries))
     return figure
 
 

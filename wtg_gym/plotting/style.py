@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
-from wtg_gym.files import write_together
+from wtg_gym.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,8 +27,6 @@ Dashes = tuple[float, tuple[float, ...]] | Literal["-"]
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 #: Widths of one and of two columns of an IEEE journal [mm].
 SINGLE_COLUMN_MM, DOUBLE_COLUMN_MM = 88.9, 181.9
-#: Dashes of lines at instants.
-DOTS: Dashes = (0.0, (1.0, 1.5))
 #: Grey of reference lines.
 REFERENCE_GREY = "0.4"
 SMALL_PT = 7.0
@@ -122,13 +120,9 @@ def figure_bytes(figure: "Figure", suffix: str) -> bytes:
     return picture.getvalue()
 
 
-def save_figure(figure: "Figure", path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
-    """Write a figure in several formats next to each other, all or none; return the paths."""
-    folder, name = path_without_suffix.parent, path_without_suffix.name
-    endings = [suffix.lower().removeprefix(".") for suffix in suffixes]
-    contents = {folder / f"{name}.{ending}": figure_bytes(figure, ending) for ending in endings}
-    write_together(contents)
-    return list(contents)
+def save_figure(figure: "Figure", path: Path) -> None:
+    """Write a figure into a file: .svg, .png or .pdf; errors as of :func:`figure_bytes`."""
+    write_atomically(path, figure_bytes(figure, path.suffix))
 
 
 def letter_panel(axes: "Axes", letter: str, text: str) -> None:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wtg_gym.envs.rendering import undone
-from wtg_gym.physics import layout, protection, tracking_law, trajectory
+from wtg_gym.physics import protection, tracking_law, trajectory
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.plotting import style
 
@@ -22,7 +23,7 @@ _LABEL_WIDTH = 0.05
 #: Most characters of a line of events.
 _LINE_LENGTH = 100
 #: What is drawn of the WTG groups, each (n, n_wtg), by its label.
-_PANELS: Mapping[str, Callable[[trajectory.Trajectory], layout.Floats]] = {
+_PANELS: Mapping[str, Callable[[trajectory.Trajectory], Floats]] = {
     "frequency [Hz]": lambda run: run.wtg_frequency_hz,
     "power [p.u.]": lambda run: run.power_pu,
     "rotor speed [p.u.]": lambda run: run.rotor_speed_pu,
@@ -75,14 +76,9 @@ def mark_instants(axes: "Axes", scenario: Scenario, *, numbered: bool) -> None:
     """Draw a dotted line at every event, with its number above if `numbered`, and where a line closes again."""
     instants = [events[0].time_s for events in _by_instant(scenario)]
     for instant in (*instants, *(event.end_s for event in undone(scenario.events, scenario.duration_s))):
-        axes.axvline(instant, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.DOTS, zorder=1)
-    groups: list[list[int]] = []
-    for index, instant in enumerate(instants) if numbered else ():
-        if groups and instant - instants[groups[-1][-1]] < _LABEL_WIDTH * scenario.duration_s:
-            groups[-1].append(index)
-        else:
-            groups.append([index])
-    for group in groups:
+        axes.axvline(instant, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
+    apart = 1 + np.flatnonzero(np.diff(instants) >= _LABEL_WIDTH * scenario.duration_s)
+    for group in np.split(np.arange(len(instants)), apart) if numbered and instants else ():
         place, numbers = sum(instants[i] for i in group) / len(group), ", ".join(str(1 + i) for i in group)
         above = axes.get_xaxis_transform()
         axes.text(place, 1.01, f"({numbers})", transform=above, fontsize=style.SMALL_PT, ha="center")
@@ -102,9 +98,7 @@ def explain_events(figure: "Figure", scenario: Scenario) -> None:
     figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=style.SMALL_PT)
 
 
-def draw_run(
-    axes: "Axes", time_s: layout.Floats, values: layout.Floats, look: style.Look, *, failed: bool, **line: Any
-) -> None:
+def draw_run(axes: "Axes", time_s: Floats, values: Floats, look: style.Look, *, failed: bool, **line: Any) -> None:
     """Draw a run's values (n,) up to the last that is a number, and a cross there if it ended before its time."""
     n = np.count_nonzero(np.isfinite(values))
     axes.plot(time_s[:n], values[:n], color=look.colour, linestyle=look.dashes, **line)

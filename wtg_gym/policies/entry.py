@@ -1,5 +1,6 @@
 """An entry: a law, and the policy that modulates it."""
 
+import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -66,7 +67,12 @@ class Entry:
         name = check_name("the entry's name", self.name)
         # Asked once: it may be in other processes.
         learned = learned_in(self.policy)
-        strategy = self._default_law(learned) if self.strategy is None else self.strategy
+        strategy = self.strategy
+        if strategy is None:
+            if not learned and hasattr(self.policy, "get_vec_normalize_env"):
+                raise without_environment(name)
+            law = learned.get("strategy")
+            strategy = law if isinstance(law, TrackingLaw) else REFERENCE_LAW
         object.__setattr__(self, "strategy", strategy)
         object.__setattr__(self, "law", get_law(strategy))
         # Checks the two modes.
@@ -85,13 +91,6 @@ class Entry:
             raise ValueError(f"per_group of entry {name!r} may be true with local observations alone")
         if self.policy is not None:
             self._check_policy(learned)
-
-    def _default_law(self, learned: Mapping[str, Any]) -> str | TrackingLaw:
-        """Return the law of a learner's environment, or the published one."""
-        if not learned and hasattr(self.policy, "get_vec_normalize_env"):
-            raise without_environment(self.name)
-        law = learned.get("strategy")
-        return law if isinstance(law, TrackingLaw) else REFERENCE_LAW
 
     def _check_policy(self, learned: Mapping[str, Any]) -> None:
         name, policy = self.name, self.policy
@@ -202,13 +201,9 @@ def check_entries(entries: Sequence[Entry]) -> None:
 
 def check_rows(entries: Iterable[Mapping[str, Any]]) -> None:
     """Raise a ValueError unless entries of one name, given by :meth:`Entry.to_dict`, are training seeds of one row."""
-    rows: dict[str, list[Mapping[str, Any]]] = {}
-    for entry in entries:
-        row = rows.setdefault(entry["name"], [])
-        for other in row:
-            if reason := row_conflict(other, entry):
-                raise ValueError(reason)
-        row.append(entry)
+    for entry, other in itertools.combinations(entries, 2):
+        if entry["name"] == other["name"] and (reason := row_conflict(entry, other)):
+            raise ValueError(reason)
 
 
 def row_conflict(entry: Mapping[str, Any], other: Mapping[str, Any]) -> str:

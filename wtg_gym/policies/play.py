@@ -82,9 +82,7 @@ def answer(
     if actions.dtype.kind not in "biuf":
         raise _complaint(entry, step, "actions must be an array of numbers", f"one of {actions.dtype}")
     if actions.shape != shape:
-        raise _complaint(
-            entry, step, f"actions must have shape {shape} (environments, values)", f"shape {actions.shape}"
-        )
+        raise _complaint(entry, step, f"actions need shape {shape} (environments, values)", f"shape {actions.shape}")
     actions = actions.astype(np.float64).reshape(batch.num_envs, batch.n_action)
     # The action of an episode that is over has no effect.
     actions[~running] = 0.0

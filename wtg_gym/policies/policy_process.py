@@ -17,6 +17,7 @@ import threading
 import time
 import warnings
 import weakref
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -175,7 +176,7 @@ class PolicyProcess:
         self.missing: list[str] = []
         #: Widths of the observations, the actions, and each state.
         self.widths: list[int] = []
-        self._began, self._deadline, self._waited_s = 0.0, float("inf"), 0.0
+        self._deadline, self._waited_s = float("inf"), 0.0
         self._timed_out = self._has_answered = False
         self._process = _start(weak=not isolated)
         try:
@@ -186,17 +187,16 @@ class PolicyProcess:
             raise
 
     def _open(self, content: bytes, isolated: bool) -> None:
-        self._begin(LOAD_S)
-        try:
-            self.missing = [_plain(text) for text in self._message().get("missing", [])]
-        except PolicyError as error:
-            # It has not seen the policy yet.
-            raise NotIsolatedError(f"this system cannot start the process of a policy: {error}") from error
-        if self.missing and isolated:
-            raise NotIsolatedError(f"this system cannot isolate the policy's process: {'; '.join(self.missing)}")
-        self._write(LENGTH.pack(len(content)) + content)
-        message = self._message()
-        self._end()
+        with self._within(LOAD_S):
+            try:
+                self.missing = [_plain(text) for text in self._message().get("missing", [])]
+            except PolicyError as error:
+                # It has not seen the policy yet.
+                raise NotIsolatedError(f"this system cannot start the process of a policy: {error}") from error
+            if self.missing and isolated:
+                raise NotIsolatedError(f"this system cannot isolate the policy's process: {'; '.join(self.missing)}")
+            self._write(LENGTH.pack(len(content)) + content)
+            message = self._message()
         if self.missing:
             warnings.warn(f"policies are not isolated on this system: {'; '.join(self.missing)}", stacklevel=2)
         if "widths" not in message:
@@ -205,7 +205,7 @@ class PolicyProcess:
         fits = isinstance(widths, list) and 2 <= len(widths) <= 2 + MOST_STATES
         if not fits or not all(type(width) is int and 1 <= width <= WIDEST for width in widths):
             raise PolicyError(
-                f"a policy may have up to {MOST_STATES} states, and each of its inputs and outputs 1 … {WIDEST} values"
+                f"a policy may have up to {MOST_STATES} states, inputs and outputs of 1 … {WIDEST} values"
             )
         self.widths = widths
 
@@ -214,12 +214,11 @@ class PolicyProcess:
 
         Sessions are opened in the first step and where episodes start. A policy that cannot answer is a PolicyError.
         """
-        self._begin(LOAD_S if starts or not self._has_answered else STEP_S)
-        self._write(request)
-        if self._read(1) != ACTIONS:
-            raise PolicyError(f"the policy cannot answer: {_plain(self._message().get('error'))}")
-        data = [self._read(size) for size in sizes]
-        self._end()
+        with self._within(LOAD_S if starts or not self._has_answered else STEP_S):
+            self._write(request)
+            if self._read(1) != ACTIONS:
+                raise PolicyError(f"the policy cannot answer: {_plain(self._message().get('error'))}")
+            data = [self._read(size) for size in sizes]
         self._has_answered = True
         return data
 
@@ -249,14 +248,14 @@ class PolicyProcess:
         except OSError as error:
             raise self._ended() from error
 
-    def _begin(self, seconds: float) -> None:
-        """Have the process killed if its next answer takes too long [s]; only waiting counts for the total."""
-        self._began = time.monotonic()
-        self._deadline = self._began + min(seconds, max(0.0, TOTAL_S - self._waited_s))
-
-    def _end(self) -> None:
+    @contextlib.contextmanager
+    def _within(self, seconds: float) -> Iterator[None]:
+        """Have the process killed if its answer takes too long [s]; only waiting counts for the total."""
+        began = time.monotonic()
+        self._deadline = began + min(seconds, max(0.0, TOTAL_S - self._waited_s))
+        yield
         self._deadline = float("inf")
-        self._waited_s += time.monotonic() - self._began
+        self._waited_s += time.monotonic() - began
 
     def _watch(self) -> None:
         while self._process.poll() is None:
