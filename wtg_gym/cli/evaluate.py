@@ -147,16 +147,17 @@ def recompute(
     processes = scoring.chosen_workers(workers, threads)
     chosen = scoring.chosen_entries(entries, stored.suite)
     with Progress("episodes") as progress:
-        found = evaluator.recompute(stored, chosen, n_threads=threads, workers=processes, on_progress=progress.update)
-    for where, before, now in found.circumstances:
+        how = {"n_threads": threads, "workers": processes, "on_progress": progress.update}
+        comparison = evaluator.recompute(stored, chosen, **how)
+    for where, before, now in comparison.circumstances:
         output.note(f"{where} was {before}, is {now}")
     for text in evaluator.departures(stored):
         output.note(f"not the benchmark's own: {text}")
-    if not found.differences:
+    if not comparison.differences:
         n_episodes = len(stored.episodes)
         output.say(f"identical: {len(episodes.COLUMNS) * n_episodes} values of {n_episodes} episodes")
         return 0
-    shown = found.differences[:_SHOWN]
-    output.say(f"not identical: {len(found.differences)} differences, the first {len(shown)}", "")
+    shown = comparison.differences[:_SHOWN]
+    output.say(f"not identical: {len(comparison.differences)} differences, the first {len(shown)}", "")
     output.print_table(("where", "stored", "now"), shown, left=(0, 1, 2))
     return 1
