@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.grid import Branch
-from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import Complex, Floats, Whole
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
@@ -28,7 +28,7 @@ def branch_admittances(branches: tuple[Branch, ...]) -> Complex:
     return rows
 
 
-@inlined
+@internal
 def _size(value: complex) -> float:
     """Return |Re| + |Im|: as good as the modulus to choose a pivot by, without its root."""
     return abs(value.real) + abs(value.imag)
@@ -180,7 +180,7 @@ def _write_jacobian(a: Floats, turn: Complex, y: Complex, slack: int, buses: Flo
     return worst
 
 
-@inlined
+@internal
 def note_flow(y: Complex, buses: Floats, at: PowerFlow) -> None:
     """Write voltages and flows of a solved power flow."""
     n = y.shape[0]
@@ -257,7 +257,7 @@ def pattern_of(y: Complex) -> Pattern:
     )
 
 
-@inlined
+@internal
 def _less_product(block: Floats, a: Floats, b: Floats) -> None:
     """Subtract the product of two blocks from a third."""
     block[0, 0] -= a[0, 0] * b[0, 0] + a[0, 1] * b[1, 0]
@@ -266,7 +266,7 @@ def _less_product(block: Floats, a: Floats, b: Floats) -> None:
     block[1, 1] -= a[1, 0] * b[0, 1] + a[1, 1] * b[1, 1]
 
 
-@inlined
+@internal
 def _set(block: Floats, a: float, b: float, c: float, d: float) -> None:
     block[0, 0], block[0, 1], block[1, 0], block[1, 1] = a, b, c, d
 
