@@ -24,7 +24,6 @@ from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import MemoryMap, Program, numbered, unconditional
 from wtg_gym.systems.routines import Routine
-from wtg_gym.systems.systems import Kind, count
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
 from wtg_gym.tasks import V1, Task
 
@@ -109,16 +108,12 @@ class Rules(NamedTuple):
 
 def rules_of(layout: Layout, plant: MemoryMap, taped: Sequence[Program]) -> Rules:
     """Return what the rules read, for a plant and its programs that are taped."""
-
-    def rows(kind: Kind, *parts: str) -> Whole:
-        firsts = (layout.first_rows(kind, part)[:, np.newaxis] + np.arange(count(kind.scratch[part])) for part in parts)
-        return np.concatenate([numbers.ravel() for numbers in firsts])
-
-    limits = rows(EXTENSIONS, "reactance", "source", "change")
+    flows = [(UNITS, part) for part in ("voltage", "current")]
+    flows += [(EXTENSIONS, part) for part in ("reactance", "source", "change")]
     return Rules(
         Noted(*(program.tape_rows(plant) for program in taped)),
-        admittances=rows(PAIRS, "admittance"),
-        flows=np.concatenate([rows(UNITS, "voltage", "current"), limits]),
+        admittances=layout.number_rows(PAIRS, "admittance"),
+        flows=np.concatenate([layout.number_rows(*part) for part in flows]),
         reactances=layout.first_rows(EXTENSIONS, "reactance"),
         references=layout.machine("gate_reference"),
         droops=layout.machine("inv_droop"),
@@ -328,7 +323,6 @@ def pull(
         read_actions(scratch, actions, env, task)
         taped, back = (block, scratch, work.tape), (block_bars, scratch_bars, work.tape, scratch, to)
         _play(taped, env, network, data, notes, tape)
-
         scratch_bars[:] = 0.0
         num_envs = min(width, actions.shape[0] - env)
         for k in range(task.observed.shape[0]):

@@ -143,10 +143,8 @@ class Tape:
 
     def _link(self, programs: Sequence[Program]) -> None:
         simulator = self.batch.simulator
-        routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
-        self._plant = self._plant.with_addresses(
-            addresses_of(programs, {simulator.width: routines}, simulator.functions())
-        )
+        routines = {simulator.width: (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)}
+        self._plant = self._plant.with_addresses(addresses_of(programs, routines, simulator.functions()))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -38,15 +38,14 @@ class Product:
     of: Kind | None = None  # whose result it is; None: of the same units
 
     def __post_init__(self) -> None:
-        matrix = self.pairs.record_of(self.matrix, "rows", "scratch")
-        vectors = (
+        records = (
+            self.pairs.record_of(self.matrix, "rows", "scratch"),
             self.units.record_of(self.vector, "scratch"),
             (self.of or self.units).record_of(self.result, "scratch"),
         )
-        if any(count(record) != 2 for record in (matrix, *vectors)):
-            raise TypeError(
-                f"{self.matrix!r}, {self.vector!r} and {self.result!r} of a product must be complex numbers"
-            )
+        if any(count(record) != 2 for record in records):
+            names = f"{self.matrix!r}, {self.vector!r} and {self.result!r}"
+            raise TypeError(f"{names} of a product must be complex numbers")
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +151,7 @@ class Program:
         self.name, self.number, self._unjoined = name, number, tuple(entries)
         self.entries: tuple[Any, ...] = tuple(_with(entries, {}))
         self.places = {id(entry): _MOST * number + i for i, entry in enumerate(_flat(self.entries))}
+        self.systems = [entry for entry in _flat(self.entries) if isinstance(entry, System)]
         self._digests: dict[bool, str] = {}
         if len(self.places) > _MOST:
             raise ValueError(f"program {name!r} has {len(self.places)} entries; allowed: at most {_MOST}")
@@ -167,16 +167,15 @@ class Program:
         if back not in self._digests:
             content = self.name, list(self.places.values()), [_content(entry) for entry in self.entries]
             sha = hashlib.sha256(repr(content).encode())
-            for entry in _flat(self.entries):
-                for line in _operations(entry, back=back) if isinstance(entry, System) else ():
+            for system in self.systems:
+                for line in _operations(system, back=back):
                     sha.update(repr(line).encode())
             self._digests[back] = sha.hexdigest()
         return self._digests[back]
 
     def tape_rows(self, plant: MemoryMap) -> int:
         """Return how many rows a run of the program notes."""
-        systems = (entry for entry in _flat(self.entries) if isinstance(entry, System))
-        return sum(len(system.noted) * _n_units(system, plant) for system in systems)
+        return sum(len(system.noted) * _n_units(system, plant) for system in self.systems)
 
 
 def _content(entry: Any) -> tuple[Any, ...]:
@@ -242,19 +241,15 @@ def constant_places(
 
     Argument and leaf are as in "machine" and "governor.droop"; the unit is None for all of its kind.
     """
-    indices = []
+    indices, name = list[int](), f"{argument}.{leaf}"
     for program in programs:
-        for system in (entry for entry in _flat(program.entries) if isinstance(entry, System)):
+        for system in program.systems:
             used = system.constants_used
-            if f"{argument}.{leaf}" not in used:
-                continue
-            n, place = _n_units(system, plant), system.places[argument]
-            units = plant.seen(system.kind, place.seen)[:n] if place.seen else np.arange(n)
-            first = int(code.rows[HEAD * program.places[id(system)] + 2])
-            indices += [
-                first + int(k) * len(used) + used.index(f"{argument}.{leaf}")
-                for k in np.flatnonzero((units == unit) | (unit is None))
-            ]
+            if name in used:
+                n, place = _n_units(system, plant), system.places[argument]
+                units = plant.seen(system.kind, place.seen)[:n] if place.seen else np.arange(n)
+                first = int(code.rows[HEAD * program.places[id(system)] + 2]) + used.index(name)
+                indices += (first + len(used) * np.flatnonzero((units == unit) | (unit is None))).tolist()
     return indices
 
 

@@ -9,9 +9,9 @@ A system says nothing of loops, of how many units or environments there are, nor
 """
 
 import functools
-import importlib
 import inspect
 import pickle
+import pkgutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -273,7 +273,7 @@ class System:
         module, name = self.equation.__module__, self.name
         if getattr(sys.modules.get(module), name, None) is not self:
             raise pickle.PicklingError(f"system {name!r} cannot be pickled: module {module} has none of this name")
-        return _of_module, (module, name)
+        return pkgutil.resolve_name, (f"{module}:{name}",)
 
     def __deepcopy__(self, memo: Any) -> "System":
         return self
@@ -390,10 +390,6 @@ class System:
 
 def _parameters(function: Callable[..., Any]) -> tuple[str, ...]:
     return tuple(inspect.signature(function).parameters)
-
-
-def _of_module(module: str, name: str) -> Any:
-    return getattr(importlib.import_module(module), name)
 
 
 def system(

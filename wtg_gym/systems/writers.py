@@ -85,18 +85,14 @@ class Writer:
             lanes.store(result, self._at(rows[name], k))
 
     def _rows(self, system: System, unit: Any) -> dict[str, Any]:
-        slots, places = system.slots, system.places
-        base = self.builder.add(self._head(system, 1), self.builder.mul(unit, _WHOLE(len(slots))))
-        return {
-            name: self._row(places[name], self._whole(self.builder.add(base, _WHOLE(i))))
-            for i, name in enumerate(slots)
-        }
+        slots, places, add = system.slots, system.places, self.builder.add
+        base = add(self._head(system, 1), self.builder.mul(unit, _WHOLE(len(slots))))
+        return {name: self._row(places[name], self._whole(add(base, _WHOLE(i)))) for i, name in enumerate(slots)}
 
     def _inputs(
         self, system: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
     ) -> dict[ex.Number, Callable[[], Any]]:
         builder, lanes = self.builder, self.lanes
-
         first = builder.gep(self.constants, [self._first_constant(system, unit)])
 
         def constant(name: str) -> Any:
@@ -160,15 +156,20 @@ class Writer:
     def _pointer(self, data: Any, row: Any) -> Any:
         return self.builder.gep(data, [self.builder.mul(row, _WHOLE(self.lanes.width))])
 
+    def _complex(self, data: Any, row: Any) -> tuple[Any, Any, Any]:
+        """Return where a complex number lies, and its parts."""
+        first = self._pointer(data, row)
+        return first, self.lanes.load(first), self.lanes.load(self._at(first, 1))
+
+    def _store_complex(self, first: Any, re: Any, im: Any) -> None:
+        self.lanes.store(re, first)
+        self.lanes.store(im, self._at(first, 1))
+
     def _product(self, entry: Product) -> None:
         builder, lanes = self.builder, self.lanes
         n = self._head(entry, 0)
         matrix, stride, vector, vector_stride, result, result_stride, n_results = self._places(entry, range(7))
         of_matrix = self.block if entry.matrix in entry.pairs.rows else self.scratch
-
-        def load(data: Any, row: Any) -> tuple[Any, Any]:
-            first = self._pointer(data, row)
-            return lanes.load(first), lanes.load(self._at(first, 1))
 
         def rows(first_row: Any, n_rows: int) -> None:
             """Write the results of some rows of the matrix: several sums at once need not wait for each other."""
@@ -184,10 +185,10 @@ class Writer:
                     phi.add_incoming(lanes.constant(0.0), entry_block)
             builder.cbranch(builder.icmp_signed("<", column, n), body, done)
             builder.position_at_end(body)
-            e_re, e_im = load(self.scratch, builder.add(vector, builder.mul(column, vector_stride)))
+            _, e_re, e_im = self._complex(self.scratch, builder.add(vector, builder.mul(column, vector_stride)))
             for i, (re, im) in enumerate(sums):
                 place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
-                y_re, y_im = load(of_matrix, builder.add(matrix, builder.mul(place, stride)))
+                _, y_re, y_im = self._complex(of_matrix, builder.add(matrix, builder.mul(place, stride)))
                 d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
                 d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
                 re.add_incoming(builder.fadd(re, d_re), builder.block)
@@ -197,9 +198,7 @@ class Writer:
             builder.position_at_end(done)
             for i, (re, im) in enumerate(sums):
                 row = builder.add(result, builder.mul(builder.add(first_row, _WHOLE(i)), result_stride))
-                first = self._pointer(self.scratch, row)
-                lanes.store(re, first)
-                lanes.store(im, self._at(first, 1))
+                self._store_complex(self._pointer(self.scratch, row), re, im)
 
         pairs = builder.sdiv(n_results, _WHOLE(_ROWS_AT_ONCE))
         with repeated(builder, pairs) as pair:
@@ -282,22 +281,16 @@ class BackWriter(TapedWriter):
         builder, lanes = self.builder, self.lanes
         n = self._head(entry, 0)
         matrix, stride, vector, vector_stride, result, result_stride = self._places(entry, range(6))
-
         with repeated(builder, n) as i:
-            bar = self._pointer(self.scratch, builder.add(result, builder.mul(i, result_stride)))
-            re, im = lanes.load(bar), lanes.load(self._at(bar, 1))
-            lanes.store(lanes.constant(0.0), bar)
-            lanes.store(lanes.constant(0.0), self._at(bar, 1))
+            bar, re, im = self._complex(self.scratch, builder.add(result, builder.mul(i, result_stride)))
+            self._store_complex(bar, lanes.constant(0.0), lanes.constant(0.0))
             with repeated(builder, n) as j:
                 place = builder.add(builder.mul(i, n), j)
-                y = self._pointer(self.matrices, builder.add(matrix, builder.mul(place, stride)))
-                y_re, y_im = lanes.load(y), lanes.load(self._at(y, 1))
-                e = self._pointer(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
-                to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, lanes.load(e)))
-                to_im = lanes.call("fma", y_re, im, lanes.load(self._at(e, 1)))
-                to_im = builder.fsub(to_im, builder.fmul(y_im, re))
-                lanes.store(to_re, e)
-                lanes.store(to_im, self._at(e, 1))
+                _, y_re, y_im = self._complex(self.matrices, builder.add(matrix, builder.mul(place, stride)))
+                e, e_re, e_im = self._complex(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
+                to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, e_re))
+                to_im = builder.fsub(lanes.call("fma", y_re, im, e_im), builder.fmul(y_im, re))
+                self._store_complex(e, to_re, to_im)
 
 
 class BackWithoutConstants(BackWriter):
