@@ -105,7 +105,6 @@ def _control(
     start_limits: StartLimits | None = None,
 ) -> Control:
     """Return a control: its start, its rates, and what follows from them; `limit` holds states within their limits."""
-
     systems: dict[ControlJoining, tuple[System, ...]] = {
         ControlJoining.SETTLE: (start,),
         ControlJoining.MOVE: (moving(rates, limit, constants=["model"]),),

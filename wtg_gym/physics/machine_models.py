@@ -85,14 +85,10 @@ def _divided(
 
     Without a denominator the rates are those of the signal itself, as far as they are known.
     """
-    exists = (c.inv_linear > 0.0) | (c.inv_square > 0.0)
+    given = (c.inv_linear > 0.0) | (c.inv_square > 0.0)
     slope_rate = c.inv_square * (signal - state - c.linear * slope)
     rate = select(c.inv_square > 0.0, slope, c.inv_linear * (signal - state))
-    return (
-        select(exists, slope_rate, signal_slope_rate),
-        select(exists, rate, signal_rate),
-        select(exists, state, signal),
-    )
+    return select(given, slope_rate, signal_slope_rate), select(given, rate, signal_rate), select(given, state, signal)
 
 
 def ieeest_rates(s: IeeestState, deviation: float, voltage: float, c: Any) -> tuple[IeeestState, float]:
