@@ -279,12 +279,3 @@ def _part(function: F, **options: Any) -> F:
     options |= dict(nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True)
     result: F = numba.njit(**options)(function)
     return result
-
-
-def inlined(function: F) -> F:
-    """Build a few operations into whatever compiled function calls them, before that is compiled.
-
-    Numba copies the whole caller for it: a function with loops or many lines is better :func:`internal`.
-    """
-    result: F = numba.njit(nogil=True, error_model="numpy", inline="always")(function)
-    return result
