@@ -236,9 +236,9 @@ def _pull_lost_governors(bars: Floats, rules: Rules, work: Work, step: int) -> N
 
 
 @internal
-def _settle(rules: Rules, work: Work) -> bool:
-    """Give environments that had settled the cotangents from before a sweep; return whether all have settled now."""
-    bars, before, all_settled = work.bars, work.before, True
+def _settle(rules: Rules, work: Work) -> None:
+    """Give environments that had settled the cotangents from before a sweep, and find which have settled now."""
+    bars, before = work.bars, work.before
     for x in range(bars.shape[1]):
         largest, change = 0.0, 0.0
         for i in range(rules.flows.shape[0]):
@@ -247,8 +247,6 @@ def _settle(rules: Rules, work: Work) -> bool:
                 bars[row, x] = before[row, x]
             largest, change = max(largest, abs(bars[row, x])), max(change, abs(bars[row, x] - before[row, x]))
         work.settled[x] |= not change > _SETTLED * largest
-        all_settled &= work.settled[x]
-    return all_settled
 
 
 @internal
@@ -260,23 +258,21 @@ def _pull_flows(bars: Floats, to: Floats, network: Network, rules: Rules, work: 
     without a limited current keep their bits.
     """
     width = work.bars.shape[1]
-    at, evaluation, all_settled = _row(rules.noted, step, stage), N_STAGES * step + stage, True
+    at, evaluation, sweeps = _row(rules.noted, step, stage), N_STAGES * step + stage, 0
     for x in range(width):
         work.settled[x] = not work.limited[evaluation, x]
-        all_settled &= work.settled[x]
-    sweeps = 0
-    while not all_settled and sweeps < _SWEEPS:
+    arrays = bars, work.bars, work.tape, work.scratch, to
+    while not work.settled.all() and sweeps < _SWEEPS:
         for i in range(rules.flows.shape[0]):
             for x in range(width):
                 work.before[rules.flows[i], x] = work.bars[rules.flows[i], x]
-        arrays = bars, work.bars, work.tape, work.scratch, to
         _sweep_back(arrays, network.code, (), at + rules.noted.flows)
-        all_settled = _settle(rules, work)
+        _settle(rules, work)
         sweeps += 1
     for x in range(width):
         if not work.settled[x]:
             work.bars[:, x] = math.nan
-    _flow_back((bars, work.bars, work.tape, work.scratch, to), network.code, (), at)
+    _flow_back(arrays, network.code, (), at)
 
 
 @internal
