@@ -98,7 +98,7 @@ def other_back(other: Other) -> Other:
 
 
 def traced(made: Callable[[], System]) -> Callable[[], Any]:
-    return lambda: made().trace
+    return lambda: made().trace()
 
 
 def other_of_the_same_name() -> System:
@@ -275,12 +275,12 @@ POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
 class PlantMap(Layout):
     """Units without constants, or with a table."""
 
-    def constants(self, kind: Kind, name: str):
-        grid, cells = read_rotor_table(ROTOR_TABLE).surface()
-        return cells if name == "cells" else [grid] * self.n_units(kind)
+    conditions = ()
 
-    def has(self, what: str) -> bool:
-        return False
+    @property
+    def constants(self):
+        grid, cells = read_rotor_table(ROTOR_TABLE).surface()
+        return {(ROTORS, "cells"): cells, (ROTORS, "grid"): [grid] * self.n_units(ROTORS)}
 
 
 @pytest.mark.parametrize("width", [1, 16])

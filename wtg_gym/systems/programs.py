@@ -5,10 +5,10 @@ block: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -103,23 +103,14 @@ class Code(NamedTuple):
         return Code, (self.rows, self.constants)
 
 
-class MemoryMap(Protocol):
+class MemoryMap(NamedTuple):
     """Where a plant has its rows, and what is constant."""
 
-    def n_units(self, kind: Kind) -> int:
-        """Return how many units of a kind there are."""
-
-    def first_rows(self, kind: Kind, part: str) -> Whole:
-        """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
-
-    def seen(self, kind: Kind, label: str) -> Whole:
-        """Return the index of the unit that each unit of a kind sees by a label, (n_units,)."""
-
-    def constants(self, kind: Kind, name: str) -> Sequence[Any]:
-        """Return a constant of each unit: records, or numbers (n_units,)."""
-
-    def has(self, what: str) -> bool:
-        """Return whether the plant has what a system is for."""
+    n_units: Callable[[Kind], int]
+    first_rows: Callable[[Kind, str], Whole]  # of a part of each unit (n_units,), in the block or in scratch
+    seen: Callable[[Kind, str], Whole]  # index of the unit that each unit of a kind sees by a label (n_units,)
+    constants: Mapping[tuple[Kind, str], Sequence[Any]]  # of each unit: records, or numbers (n_units,)
+    conditions: Collection[str]  # that hold: what the plant has of what systems are for
 
 
 def _flat(entries: Sequence[Any]) -> Iterator[Any]:
@@ -195,7 +186,7 @@ def _content(entry: Any) -> tuple[Any, ...]:
 
 def _operations(system: System, *, back: bool) -> Iterator[Any]:
     """Yield what the machine code of a system works out, or that of the way back through it."""
-    stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in system.trace.stores]
+    stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in system.trace().stores]
     if back:
         stores += [*system.adjoint.inputs.items(), *system.adjoint.constants.items()]
         yield system.noted, list(system.adjoint.seeds.values())
@@ -207,7 +198,7 @@ def _operations(system: System, *, back: bool) -> Iterator[Any]:
 
 def _n_units(entry: Any, plant: MemoryMap) -> int:
     if isinstance(entry, System):
-        return plant.n_units(entry.kind) if entry.when is None or plant.has(entry.when) else 0
+        return plant.n_units(entry.kind) if entry.when is None or entry.when in plant.conditions else 0
     return plant.n_units(entry.units) if isinstance(entry, Product) else 1
 
 
@@ -279,7 +270,7 @@ def _constants_of(system: System, plant: MemoryMap, n: int, numbers: list[float]
     values: dict[str, Floats] = {}
     for argument in dict.fromkeys(name.partition(".")[0] for name in used):
         place = system.places[argument]
-        constants = plant.constants(place.kind, place.part)
+        constants = plant.constants[place.kind, place.part]
         if place.record is ex.Cells:
             key = place.kind, place.part
             if key not in cells:

@@ -296,13 +296,8 @@ class System:
     def arguments_named(self) -> tuple[str, ...]:
         return self.arguments or _parameters(self.equation)
 
-    @property
-    def trace(self) -> Trace:
-        """The program of the equation, to the last bit."""
-        return self.trace_with()
-
-    def trace_with(self, **known: float) -> Trace:
-        """Return the program of the equation where some scalars are known."""
+    def trace(self, **known: float) -> Trace:
+        """Return the program of the equation, to the last bit, where some scalars are known."""
         key = tuple(sorted((name, value) for name, value in known.items() if name in self.arguments_named))
         if key not in self._traces:
             with ex.making():
@@ -355,8 +350,8 @@ class System:
     @functools.cached_property
     def constants_used(self) -> list[str]:
         """Constants that the result depends on."""
-        names = self.trace.constants
-        return [names[number] for number in ex.needed(value for *_, value in self.trace.stores) if number in names]
+        names, stores = self.trace().constants, self.trace().stores
+        return [names[number] for number in ex.needed(value for *_, value in stores) if number in names]
 
     @functools.cached_property
     def noted(self) -> list[tuple[str, int]]:

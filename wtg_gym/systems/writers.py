@@ -10,7 +10,7 @@ from llvmlite import ir
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.programs import HEAD, Each, Product, Program, Repeat, When
 from wtg_gym.systems.systems import Place, System, Trace
-from wtg_gym.systems.vectors import Lanes, repeated
+from wtg_gym.systems.vectors import Lanes, accumulated, repeated
 
 _WHOLE = ir.IntType(64)
 #: Rows of a matrix that are multiplied side by side.
@@ -60,7 +60,7 @@ class Writer:
         return self.builder.load(self.builder.gep(self.rows, [place]))
 
     def _system(self, system: System, unit: Any) -> None:
-        lanes, trace = self.lanes, system.trace_with(**self.known)
+        lanes, trace = self.lanes, system.trace(**self.known)
         rows = self._rows(system, unit)
         inputs = self._inputs(system, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k)))
         instruction = lanes.program(inputs)
@@ -173,30 +173,16 @@ class Writer:
 
         def rows(first_row: Any, n_rows: int) -> None:
             """Write the results of some rows of the matrix: several sums at once need not wait for each other."""
-            entry_block = builder.block
-            check, body, done = (builder.append_basic_block(name) for name in ("columns", "column", "summed"))
-            builder.branch(check)
-            builder.position_at_end(check)
-            column = builder.phi(_WHOLE)
-            column.add_incoming(_WHOLE(0), entry_block)
-            sums = [[builder.phi(lanes.vector) for _ in range(2)] for _ in range(n_rows)]
-            for pair in sums:
-                for phi in pair:
-                    phi.add_incoming(lanes.constant(0.0), entry_block)
-            builder.cbranch(builder.icmp_signed("<", column, n), body, done)
-            builder.position_at_end(body)
-            _, e_re, e_im = self._complex(self.scratch, builder.add(vector, builder.mul(column, vector_stride)))
-            for i, (re, im) in enumerate(sums):
-                place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
-                _, y_re, y_im = self._complex(of_matrix, builder.add(matrix, builder.mul(place, stride)))
-                d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
-                d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
-                re.add_incoming(builder.fadd(re, d_re), builder.block)
-                im.add_incoming(builder.fadd(im, d_im), builder.block)
-            column.add_incoming(builder.add(column, _WHOLE(1)), builder.block)
-            builder.branch(check)
-            builder.position_at_end(done)
-            for i, (re, im) in enumerate(sums):
+            zeros = [lanes.constant(0.0)] * (2 * n_rows)
+            with accumulated(builder, n, zeros) as (column, sums, following):
+                _, e_re, e_im = self._complex(self.scratch, builder.add(vector, builder.mul(column, vector_stride)))
+                for i, (re, im) in enumerate(zip(sums[::2], sums[1::2], strict=True)):
+                    place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
+                    _, y_re, y_im = self._complex(of_matrix, builder.add(matrix, builder.mul(place, stride)))
+                    d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
+                    d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
+                    following += builder.fadd(re, d_re), builder.fadd(im, d_im)
+            for i, (re, im) in enumerate(zip(sums[::2], sums[1::2], strict=True)):
                 row = builder.add(result, builder.mul(builder.add(first_row, _WHOLE(i)), result_stride))
                 self._store_complex(self._pointer(self.scratch, row), re, im)
 
