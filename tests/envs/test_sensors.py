@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.envs.rollouts import actions_of, calm
+from tests.machine_code import run_routine
 from wtg_gym import GFMWTGEnv, GroupTrip, LoadStep, Scenario, get_suite
 from wtg_gym.physics import sensors as sensing
 from wtg_gym.physics.layout import Layout
@@ -149,7 +150,7 @@ def numbers_of(seeds: np.ndarray, steps: np.ndarray, channels: np.ndarray) -> np
         n = min(16, seeds.size - first)
         block[layout.first_rows(DRAWS, "seed"), :n] = seeds[first : first + n]
         block[layout.first_rows(DRAWS, "step"), :n] = steps[first : first + n]
-        ROUTINE((block, scratch), code)
+        run_routine(ROUTINE, (block, scratch), code)
         result.append(scratch[layout.first_rows(DRAWS, "number"), :n].T.copy())
     return np.concatenate(result)
 

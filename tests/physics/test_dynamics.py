@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.machine_code import run_routine
 from tests.physics import extended
 from tests.physics.extended import NO_SHEDDING, largest_rate, plant, recorded, scenario, started, with_machine
 from wtg_gym import LoadStep, Plant, TrackingLaw, get_law, get_suite
@@ -303,7 +304,7 @@ def test_limited_currents_solve_their_equations(buses, n_turbines):
         for kind, part, values in ((UNITS, "voltage", voltage), (PAIRS, "admittance", admittance.ravel())):
             first = layout.first_rows(kind, part)
             scratch[first, 0], scratch[first + 1, 0] = values.real, values.imag
-        _FIND_CURRENTS((np.zeros((layout.n_rows, 1)), scratch), network.code)
+        run_routine(_FIND_CURRENTS, (np.zeros((layout.n_rows, 1)), scratch), network.code)
         first = layout.first_rows(UNITS, "current")
         current = scratch[first, 0] + 1j * scratch[first + 1, 0]
         reactance = scratch[layout.first_rows(EXTENSIONS, "reactance"), 0]

@@ -49,7 +49,7 @@ EVERY = (
 def bus_matrix(simulator: Simulator) -> np.ndarray:
     network = simulator.plant.network
     y = np.zeros((network.shunts.size,) * 2, dtype=np.complex128)
-    assemble(y, np.zeros_like(network.unit_y), simulator.blocks[0], 0, 0, network, simulator.data)
+    assemble(y, np.zeros_like(network.unit_y), simulator.blocks[0], network, simulator.data)
     return y
 
 

@@ -24,7 +24,6 @@ from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import MemoryMap, Program, numbered, unconditional
 from wtg_gym.systems.routines import Routine
-from wtg_gym.systems.systems import Kind, count
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
 from wtg_gym.tasks import V1, Task
 
@@ -109,16 +108,12 @@ class Rules(NamedTuple):
 
 def rules_of(layout: Layout, plant: MemoryMap, taped: Sequence[Program]) -> Rules:
     """Return what the rules read, for a plant and its programs that are taped."""
-
-    def rows(kind: Kind, *parts: str) -> Whole:
-        firsts = (layout.first_rows(kind, part)[:, np.newaxis] + np.arange(count(kind.scratch[part])) for part in parts)
-        return np.concatenate([numbers.ravel() for numbers in firsts])
-
-    limits = rows(EXTENSIONS, "reactance", "source", "change")
+    flows = [(UNITS, part) for part in ("voltage", "current")]
+    flows += [(EXTENSIONS, part) for part in ("reactance", "source", "change")]
     return Rules(
         Noted(*(program.tape_rows(plant) for program in taped)),
-        admittances=rows(PAIRS, "admittance"),
-        flows=np.concatenate([rows(UNITS, "voltage", "current"), limits]),
+        admittances=layout.number_rows(PAIRS, "admittance"),
+        flows=np.concatenate([layout.number_rows(*part) for part in flows]),
         reactances=layout.first_rows(EXTENSIONS, "reactance"),
         references=layout.machine("gate_reference"),
         droops=layout.machine("inv_droop"),
@@ -241,9 +236,9 @@ def _pull_lost_governors(bars: Floats, rules: Rules, work: Work, step: int) -> N
 
 
 @internal
-def _settle(rules: Rules, work: Work) -> bool:
-    """Give environments that had settled the cotangents from before a sweep; return whether all have settled now."""
-    bars, before, all_settled = work.bars, work.before, True
+def _settle(rules: Rules, work: Work) -> None:
+    """Give environments that had settled the cotangents from before a sweep, and find which have settled now."""
+    bars, before = work.bars, work.before
     for x in range(bars.shape[1]):
         largest, change = 0.0, 0.0
         for i in range(rules.flows.shape[0]):
@@ -252,8 +247,6 @@ def _settle(rules: Rules, work: Work) -> bool:
                 bars[row, x] = before[row, x]
             largest, change = max(largest, abs(bars[row, x])), max(change, abs(bars[row, x] - before[row, x]))
         work.settled[x] |= not change > _SETTLED * largest
-        all_settled &= work.settled[x]
-    return all_settled
 
 
 @internal
@@ -265,23 +258,21 @@ def _pull_flows(bars: Floats, to: Floats, network: Network, rules: Rules, work: 
     without a limited current keep their bits.
     """
     width = work.bars.shape[1]
-    at, evaluation, all_settled = _row(rules.noted, step, stage), N_STAGES * step + stage, True
+    at, evaluation, sweeps = _row(rules.noted, step, stage), N_STAGES * step + stage, 0
     for x in range(width):
         work.settled[x] = not work.limited[evaluation, x]
-        all_settled &= work.settled[x]
-    sweeps = 0
-    while not all_settled and sweeps < _SWEEPS:
+    arrays = bars, work.bars, work.tape, work.scratch, to
+    while not work.settled.all() and sweeps < _SWEEPS:
         for i in range(rules.flows.shape[0]):
             for x in range(width):
                 work.before[rules.flows[i], x] = work.bars[rules.flows[i], x]
-        arrays = bars, work.bars, work.tape, work.scratch, to
         _sweep_back(arrays, network.code, (), at + rules.noted.flows)
-        all_settled = _settle(rules, work)
+        _settle(rules, work)
         sweeps += 1
     for x in range(width):
         if not work.settled[x]:
             work.bars[:, x] = math.nan
-    _flow_back((bars, work.bars, work.tape, work.scratch, to), network.code, (), at)
+    _flow_back(arrays, network.code, (), at)
 
 
 @internal
@@ -328,7 +319,6 @@ def pull(
         read_actions(scratch, actions, env, task)
         taped, back = (block, scratch, work.tape), (block_bars, scratch_bars, work.tape, scratch, to)
         _play(taped, env, network, data, notes, tape)
-
         scratch_bars[:] = 0.0
         num_envs = min(width, actions.shape[0] - env)
         for k in range(task.observed.shape[0]):

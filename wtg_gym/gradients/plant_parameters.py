@@ -154,13 +154,12 @@ class Moved:
 def _leaves_of(plant: Plant) -> dict[Leaf, float]:
     """Return the numbers of a plant's machines and of its turbine."""
     built = plant_tables(plant)
-    leaves = {
-        Leaf("machines", i, leaf): float(machine[leaf])
-        for i, machine in enumerate(built.machines)
-        for leaf in machine.dtype.names
+    return {
+        Leaf(part, place, name): float(record[name])
+        for part, table in (("machines", built.machines), ("turbine", built.turbine[:1]))
+        for place, record in enumerate(table)
+        for name in table.dtype.names or ()
     }
-    turbine = built.turbine[0]
-    return leaves | {Leaf("turbine", 0, leaf): float(turbine[leaf]) for leaf in turbine.dtype.names}
 
 
 def _slopes_of(plant: Plant, name: str) -> dict[Leaf, float]:

@@ -17,7 +17,7 @@ from wtg_gym.gradients.adjoint import programs_of as taped_programs
 from wtg_gym.gradients.plant_parameters import Moved, known_parameters, require_known_parameters, with_parameters
 from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Floats, Whole, put_rows, rows_of_envs
-from wtg_gym.physics.plant import PlantMap, PlantTables, plant_tables, programs_of, with_places
+from wtg_gym.physics.plant import PlantTables, memory_map, plant_tables, programs_of, with_places
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import require_known
 from wtg_gym.signals import undivided
@@ -120,7 +120,7 @@ class Tape:
         #: The plant, with the code of the programs that go back.
         self._plant = with_places(built, layout, programs, units, taped)
         self._link(programs)
-        plant_map, code = PlantMap(built, layout, units), self._plant.network.code
+        plant_map, code = memory_map(built, layout, units), self._plant.network.code
         self._rules = rules_of(layout, plant_map, taped)
         self._works: dict[int, Work] = {}
         places_of = functools.partial(constant_places, programs, plant_map, code)
@@ -143,10 +143,8 @@ class Tape:
 
     def _link(self, programs: Sequence[Program]) -> None:
         simulator = self.batch.simulator
-        routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
-        self._plant = self._plant.with_addresses(
-            addresses_of(programs, {simulator.width: routines}, simulator.functions())
-        )
+        routines = {simulator.width: (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)}
+        self._plant = self._plant.with_addresses(addresses_of(programs, routines, simulator.functions()))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
+from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters, constants_of
 from wtg_gym.physics.rotor_table import Cells, Grid, RotorTable, tabulated_power_coefficient
 from wtg_gym.systems.elementary import exponential, fma
 from wtg_gym.systems.programs import Floats
@@ -28,8 +28,8 @@ class CurveConstants(NamedTuple):
 def curve_constants(parameters: PowerCoefficientParameters | RotorTable) -> CurveConstants:
     """Return the constants of a C_p curve; zeros where a table takes its place."""
     if isinstance(parameters, RotorTable):
-        return CurveConstants(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return CurveConstants(*(getattr(parameters, name) for name in CurveConstants._fields))
+        return CurveConstants(*[0.0] * len(CurveConstants._fields))
+    return constants_of(CurveConstants, parameters)
 
 
 def power_coefficient_at(tip_speed: float, wind: float, pitch_deg: float, c: CurveConstants) -> float:
@@ -62,18 +62,15 @@ def power_coefficient(
     """
     parameters = parameters or PowerCoefficientParameters()
     ratio = np.asarray(tip_speed_ratio, dtype=np.float64)
-    bad = ~((ratio > 0.0) & np.isfinite(ratio))
-    if bad.any():
-        wrong = ratio[bad][0]
+    for wrong in ratio[~((ratio > 0.0) & np.isfinite(ratio))]:
         raise ValueError(f"tip-speed ratio must be positive, got {wrong:g}")
     if not 0.0 <= pitch_deg < np.inf:
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
-    if isinstance(parameters, RotorTable):
-        grid, cells = parameters.surface()
-        flat = [tabulated_power_coefficient(x, float(pitch_deg), cells, grid) for x in ratio.ravel().tolist()]
-    else:
-        curve = curve_constants(parameters)
-        flat = [power_coefficient_at(x, 1.0, float(pitch_deg), curve) for x in ratio.ravel().tolist()]
+    pitch, (grid, cells), curve = float(pitch_deg), surface_of(parameters), curve_constants(parameters)
+    flat = [
+        tabulated_power_coefficient(x, pitch, cells, grid) if cells.size else power_coefficient_at(x, 1.0, pitch, curve)
+        for x in ratio.ravel().tolist()
+    ]
     return np.array(flat).reshape(ratio.shape)
 
 
@@ -131,9 +128,7 @@ def available_power_pu(wind_m_s: float | Floats, turbine: TurbineParameters | No
     """Return the largest power a rotor can capture at β = 0 [p.u. of its rating], for wind speeds from 0 m/s on."""
     turbine = turbine or TurbineParameters()
     wind = np.asarray(wind_m_s, dtype=np.float64)
-    bad = ~((wind >= 0.0) & np.isfinite(wind))
-    if bad.any():
-        wrong = wind[bad][0]
+    for wrong in wind[~((wind >= 0.0) & np.isfinite(wind))]:
         raise ValueError(f"wind speed must be 0 m/s or more, got {wrong:g} m/s")
     peak = tracking_point(0.0, turbine).power_coefficient
     return np.asarray(turbine.wind_power_pu_per_cubic_wind * peak * wind**3)

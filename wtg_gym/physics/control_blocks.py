@@ -82,7 +82,7 @@ class Control(NamedTuple):
 
     kind: Kind  # what its units keep: "control", the states, and the constants "model"
     constants: Constants  # what makes those of its parameters
-    systems: Mapping[ControlJoining, tuple[System, ...]]  # by where they join the lists of `wtg_gym.physics.step`
+    systems: Mapping[str, tuple[System, ...]]  # by where they join the lists of `wtg_gym.physics.step`
     start_limits: StartLimits | None
 
 
@@ -105,8 +105,7 @@ def _control(
     start_limits: StartLimits | None = None,
 ) -> Control:
     """Return a control: its start, its rates, and what follows from them; `limit` holds states within their limits."""
-
-    systems: dict[ControlJoining, tuple[System, ...]] = {
+    systems: dict[str, tuple[System, ...]] = {
         ControlJoining.SETTLE: (start,),
         ControlJoining.MOVE: (moving(rates, limit, constants=["model"]),),
         ControlJoining.RATES: (rates,),

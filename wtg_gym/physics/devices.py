@@ -65,12 +65,6 @@ class Devices:
         return [f"{self.kind.name}{j}.{part}" for j in range(len(self.buses)) for part in parts]
 
 
-def joining(devices: Sequence[Devices]) -> dict[str, tuple[System, ...]]:
-    """Return the systems of devices by the places where they join lists."""
-    places = dict.fromkeys(place for device in devices for place in device.systems)
-    return {place: tuple(entry for device in devices for entry in device.systems.get(place, ())) for place in places}
-
-
 class SourceState(NamedTuple):
     angle: float  # δ of its voltage against the frame [rad]
     speed: float  # ω [p.u.]

@@ -47,15 +47,14 @@ def check_internal_voltages(rows: Floats, scenarios: Sequence[Scenario], setting
     of_machines = np.hypot(rows[:, layout.machine("e_d")], rows[:, layout.machine("e_q")])
     voltages = np.concatenate([of_machines, rows[:, layout.wtg("emf")]], axis=1)
     limit = settings.protection.internal_voltage_max_pu
-    if (voltages <= limit).all():
-        return
-    env, unit = np.argwhere(~(voltages <= limit))[0]
-    bus = settings.case.buses[settings.case.bus_index(settings.unit_buses[unit])]
-    task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
-    raise StartError(
-        f"{scenario_name(scenarios[env])} cannot start: {unit_name(settings, int(unit))} needs an internal voltage of "
-        f"{voltages[env, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
-    )
+    for env, unit in np.argwhere(~(voltages <= limit)):
+        bus = settings.case.buses[settings.case.bus_index(settings.unit_buses[unit])]
+        task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
+        needed = f"{unit_name(settings, int(unit))} needs an internal voltage of {voltages[env, unit]:.3g} p.u. {task}"
+        raise StartError(
+            f"{scenario_name(scenarios[env])} cannot start: {needed}; allowed: at most {limit:g} p.u. (a larger rating "
+            "needs less)"
+        )
 
 
 def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: Plant, layout: Layout) -> None:
@@ -130,11 +129,7 @@ def _limited(
 #: Rows in scratch of an environment that starts and of its buses, and these as columns of the power flow.
 _OF_START, _OF_BUS = offsets_of(ENV, scratch=True), offsets_of(BUSES, scratch=True)
 FLOW_COLUMNS = PowerFlow(
-    power=_OF_BUS.planned,
-    polar=_OF_BUS.polar,
-    holds_voltage=_OF_BUS.holds,
-    flow=_OF_BUS.flow,
-    voltage=_OF_BUS.at_bus,
+    power=_OF_BUS.planned, polar=_OF_BUS.polar, holds_voltage=_OF_BUS.holds, flow=_OF_BUS.flow, voltage=_OF_BUS.at_bus
 )
 POWER_FLOW = Function(solve_power_flow, 1)
 #: Compiled for large networks alone.

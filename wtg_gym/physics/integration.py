@@ -8,24 +8,13 @@ from wtg_gym.physics.layout import OF_ENV, BatchData, Facts, Floats, Network, pl
 from wtg_gym.physics.network_events import refresh_network
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.systems.compiled import allocating, compiled, inlined, internal
+from wtg_gym.systems.compiled import allocating, compiled, internal
 from wtg_gym.systems.programs import numbered
 from wtg_gym.systems.routines import Function, Routine
 
 #: Lists of :mod:`wtg_gym.physics.step` that are programs: those of a step, then those of the start of a run.
-PROGRAMS = numbered(
-    ADMITTANCES=systems.ADMITTANCES,
-    FIND=systems.FIND,
-    RATES=systems.RATES,
-    MOVE=systems.MOVE,
-    FINISH=systems.FINISH,
-    PROTECT=systems.PROTECT,
-    PLAN=systems.PLAN,
-    BALANCE=systems.BALANCE,
-    RELEASE=systems.RELEASE,
-    SETTLE=systems.SETTLE,
-    START=systems.START,
-)
+_OF_STEP, _OF_START = "ADMITTANCES FIND RATES MOVE FINISH PROTECT", "PLAN BALANCE RELEASE SETTLE START"
+PROGRAMS = numbered(**{name: getattr(systems, name) for name in f"{_OF_STEP} {_OF_START}".split()})
 _ADMITTANCES, _FIND, _RATES, _MOVE, _FINISH, _PROTECT, *_STARTING = PROGRAMS
 _FIRST, _MIDDLE, _LAST = (
     Routine(_MOVE, variant=variant, first=first, last=last)
@@ -75,7 +64,7 @@ def strike(
         combine_load_noise((block, scratch), network.code)
 
 
-@inlined
+@internal
 def stage_scalars(facts: Facts, step: int, stage: int) -> tuple[float, float, float, float]:
     """Return the scalars of a stage, 0 … 3: when in the interval, how far it goes [s], whether it is first or last.
 
@@ -170,7 +159,11 @@ def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, netwo
         advance_interval(blocks[b], scratch, b * blocks.shape[2], network, data, None)
 
 
+@compiled
 def evaluate_blocks(blocks: Floats, scratches: Floats, network: Network) -> None:
     """Evaluate the time derivatives of all blocks at the start of their wind interval, each in a scratch of its own."""
-    for routine in EVALUATING:
-        routine((blocks, scratches), network.code)
+    for b in range(blocks.shape[0]):
+        arrays = blocks[b], scratches[b]
+        combine_load_noise(arrays, network.code)
+        find(arrays, network.code)
+        find_rates(arrays, network.code)

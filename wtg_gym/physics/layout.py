@@ -8,8 +8,7 @@ rows in a scratch, which a thread shares between its blocks.
 import itertools
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +25,7 @@ from wtg_gym.systems.systems import Kind, count, is_record, short_names, structu
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
+Key = TypeVar("Key")
 
 
 def offsets_of(kind: Kind, *, scratch: bool = False) -> Any:
@@ -38,8 +38,13 @@ def offsets_of(kind: Kind, *, scratch: bool = False) -> Any:
 
 
 def _offsets(parts: Mapping[str, Any]) -> dict[str, int]:
-    edges = np.cumsum([0, *(count(record) for record in parts.values())]).tolist()
-    return dict(zip(parts, edges, strict=False))
+    return _stacked({part: count(record) for part, record in parts.items()})[0]
+
+
+def _stacked(sizes: Mapping[Key, int]) -> tuple[dict[Key, int], int]:
+    """Return where each of some things begins that lie one behind the other, and where the last ends."""
+    edges = [0, *itertools.accumulate(sizes.values())]
+    return dict(zip(sizes, edges, strict=False)), edges[-1]
 
 
 def n_rows_of(parts: Mapping[str, Any]) -> int:
@@ -93,15 +98,14 @@ class Layout:
         for kind, label in links:
             require_known(f"labels of what {kind.name} see", [label], kind.sees)
         self.counts, self._links = dict(n_units), dict(links)
-        self.first, self.n_rows = self._firsts([n_rows_of(kind.rows) for kind in n_units])
-        self.first_scratch, self.n_scratch = self._firsts([n_rows_of(kind.scratch) for kind in n_units])
+        self.first, self.n_rows = _stacked({kind: n * n_rows_of(kind.rows) for kind, n in n_units.items()})
+        sizes = {kind: n * n_rows_of(kind.scratch) for kind, n in n_units.items()}
+        self.first_scratch, self.n_scratch = _stacked(sizes)
         #: Number of synchronous machines, WTG groups, units of the network, and extended WTG groups.
         self.n_sync, self.n_wtg, self.n_unit, self.n_extended = map(self.n_units, (MACHINES, GROUPS, UNITS, EXTENSIONS))
         self._cached_rows: dict[tuple[str, str], Whole] = {}
-
-    def _firsts(self, strides: Sequence[int]) -> tuple[dict[Kind, int], int]:
-        edges = np.cumsum([0, *(n * stride for n, stride in zip(self.counts.values(), strides, strict=True))]).tolist()
-        return dict(zip(self.counts, edges, strict=False)), edges[-1]
+        #: Rows of the state vector, kind after kind, unit after unit; and of its time derivatives, in scratch.
+        self.state_rows, self.rate_rows = self._states(""), self._states("_rates")
 
     def n_units(self, kind: Kind) -> int:
         """Return how many units of a kind there are."""
@@ -119,6 +123,11 @@ class Layout:
             span = self.span(kind, scratch=parts is kind.scratch)
             self._cached_rows[kind.name, part] = _every(span, _offsets(parts)[part])
         return self._cached_rows[kind.name, part]
+
+    def number_rows(self, kind: Kind, part: str) -> Whole:
+        """Return the rows of all numbers of a part, unit after unit, in the block or in scratch."""
+        n = count(kind.rows[part] if part in kind.rows else kind.scratch[part])
+        return (self.first_rows(kind, part)[:, np.newaxis] + np.arange(n)).ravel()
 
     def seen(self, kind: Kind, label: str) -> Whole:
         """Return the index of the unit that each unit of a kind sees by a label, (n_units,)."""
@@ -151,23 +160,10 @@ class Layout:
             self._cached_rows[name, what] = self.rows_of(has[0], name)
         return self._cached_rows[name, what]
 
-    @cached_property
-    def state_rows(self) -> Whole:
-        """Rows of the state vector: kind after kind, unit after unit."""
-        return self._states(rates=False)
-
-    @cached_property
-    def rate_rows(self) -> Whole:
-        """Rows of the time derivatives in scratch, in the order of :attr:`state_rows`."""
-        return self._states(rates=True)
-
-    def _states(self, *, rates: bool) -> Whole:
-        rows = [np.zeros(0, dtype=np.int64)]
-        for kind in self.counts:
-            for state in kind.states:
-                first = self.first_rows(kind, f"{state}_rates" if rates else state)
-                rows.append((first[:, np.newaxis] + np.arange(count(kind.rows[state]))).ravel())
-        return np.concatenate(rows)
+    def _states(self, ending: str) -> Whole:
+        parts = [(kind, state) for kind in self.counts for state in kind.states]
+        rows = [self.number_rows(kind, state + ending) for kind, state in parts]
+        return np.concatenate(rows) if rows else np.zeros(0, dtype=np.int64)
 
     @property
     def state_names(self) -> tuple[str, ...]:

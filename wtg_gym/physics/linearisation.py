@@ -74,28 +74,22 @@ def one_way_limits(rows: Floats, layout: Layout) -> Whole:
     return at_rest
 
 
-def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[np.bool_]:
-    """Return which states take part in the dynamics, (n,).
+def moving_matrix(
+    rows: Floats, plant: PlantTables, layout: Layout, side: npt.ArrayLike
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Return the part of :func:`state_matrix` that takes part in the dynamics, and which states that are (n,).
 
     Left out are constants, states that nothing depends on, and states that nothing else drives, which stay at rest.
     """
+    matrix = state_matrix(rows, plant, layout, side)
     keep = ~np.isin(layout.state_rows, one_way_limits(rows, layout))
     while True:
         rest = np.where(np.outer(keep, keep), matrix, 0.0)
         driven = (rest - np.diag(np.diag(rest))).any(axis=1)
         kept = keep & rest.any(axis=0) & driven
         if (kept == keep).all():
-            return kept
+            return matrix[np.ix_(keep, keep)], keep
         keep = kept
-
-
-def moving_matrix(
-    rows: Floats, plant: PlantTables, layout: Layout, side: npt.ArrayLike
-) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Return the part of :func:`state_matrix` that takes part in the dynamics, and which states that are (n,)."""
-    matrix = state_matrix(rows, plant, layout, side)
-    keep = moving_states(matrix, rows, layout)
-    return matrix[np.ix_(keep, keep)], keep
 
 
 def swing_modes(eigenvalues: Complex) -> list[tuple[float, float]]:

@@ -277,18 +277,16 @@ def machine_constants(m: machine_parameters.SynchronousMachineParameters, base_m
     scale = base_mva / m.rating_mva
     classical = {"internal_reactance": m.x_d_transient * scale, "gamma_d": 1.0, "gamma_q": 1.0}
     rotor = dict.fromkeys(Machine._fields, 0.0) | classical if m.classical else _genrou(m, scale)
-    shared = {
+    shared: dict[str, Any] = {
         "resistance": m.resistance * scale,
         "damping": m.damping_pu / scale,
         "rating": 1.0 / scale,
         "two_h": m.two_h_s / scale,
         "reactive_weight": 1.0 / scale if m.reactive_weight is None else m.reactive_weight / base_mva,
-    }
-    controls = {
         "exciter": exciter_constants(None if m.classical else m.exciter),
         "governor": governor_constants(m.governor),
     }
-    return constants_of(Machine, m, **{**rotor, **shared, **controls})
+    return constants_of(Machine, m, **{**rotor, **shared})
 
 
 def _genrou(m: machine_parameters.SynchronousMachineParameters, scale: float) -> dict[str, float]:

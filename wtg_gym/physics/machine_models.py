@@ -17,7 +17,7 @@ from wtg_gym.physics import control_blocks as controls
 from wtg_gym.physics import machine_parameters as parameters
 from wtg_gym.physics.control_blocks import lag, lead_lag
 from wtg_gym.physics.machine import beyond_dead_band, saturated, saturation_constants
-from wtg_gym.physics.units import ControlJoining
+from wtg_gym.physics.units import ControlJoining, joining
 from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.systems.systems import System, structured
 
@@ -85,14 +85,10 @@ def _divided(
 
     Without a denominator the rates are those of the signal itself, as far as they are known.
     """
-    exists = (c.inv_linear > 0.0) | (c.inv_square > 0.0)
+    given = (c.inv_linear > 0.0) | (c.inv_square > 0.0)
     slope_rate = c.inv_square * (signal - state - c.linear * slope)
     rate = select(c.inv_square > 0.0, slope, c.inv_linear * (signal - state))
-    return (
-        select(exists, slope_rate, signal_slope_rate),
-        select(exists, rate, signal_rate),
-        select(exists, state, signal),
-    )
+    return select(given, slope_rate, signal_slope_rate), select(given, rate, signal_rate), select(given, state, signal)
 
 
 def ieeest_rates(s: IeeestState, deviation: float, voltage: float, c: Any) -> tuple[IeeestState, float]:
@@ -383,14 +379,10 @@ def control_constants(machines: Sequence[parameters.SynchronousMachineParameters
     return {name: structured(CONTROLS[name].constants.record, records) for name, records in constants.items()}
 
 
-def joining_controls(names: Sequence[str]) -> dict[ControlJoining, tuple[System, ...]]:
-    """Return the systems of controls, by the names of their kinds, by the places where they join.
-
-    At the start exciters come before the stabilisers: they say what reference they need.
-    """
-    places: dict[ControlJoining, tuple[System, ...]] = {}
-    for control in (control for name, control in CONTROLS.items() if name in names):
-        for place, systems in control.systems.items():
-            before = places.get(place, ())
-            places[place] = (*systems, *before) if place is ControlJoining.SETTLE else (*before, *systems)
+def joining_controls(names: Sequence[str]) -> dict[str, tuple[System, ...]]:
+    """Return the systems of controls, by the names of their kinds, by the places where they join."""
+    places = joining([control.systems for name, control in CONTROLS.items() if name in names])
+    if ControlJoining.SETTLE in places:
+        # Exciters come before the stabilisers: they say what reference they need.
+        places[ControlJoining.SETTLE] = places[ControlJoining.SETTLE][::-1]
     return places

@@ -1,6 +1,7 @@
 """Admittances and power flow, dense and sparse."""
 
 import heapq
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -8,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.grid import Branch
-from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import Complex, Floats, Whole
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
@@ -28,7 +29,7 @@ def branch_admittances(branches: tuple[Branch, ...]) -> Complex:
     return rows
 
 
-@inlined
+@internal
 def _size(value: complex) -> float:
     """Return |Re| + |Im|: as good as the modulus to choose a pivot by, without its root."""
     return abs(value.real) + abs(value.imag)
@@ -102,85 +103,73 @@ def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> in
     The bus admittance matrix (n_bus, n_bus) is without loads [p.u.]. `at` are the columns in `buses` (n_bus, n); a
     complex number takes two. It returns the iterations used, or -1 if the mismatch stays above POWER_FLOW_TOLERANCE.
     """
-    n = y.shape[0]
-    n_unknown = n - 1
+    n, n_unknown = y.shape[0], 0
+    # Places of each bus's active and reactive mismatch, which are those of its angle and magnitude; -1 for a given one.
+    p, q = np.full(n, -1), np.full(n, -1)
+    for k in range(n):
+        if k != slack:
+            p[k], n_unknown = n_unknown, n_unknown + 1
     for k in range(n):
         if not buses[k, at.holds_voltage] > 0.5:
-            n_unknown += 1
-    # Sensitivities of the mismatches to the unknowns, and the mismatches: angles first, then magnitudes.
+            q[k], n_unknown = n_unknown, n_unknown + 1
+    # Sensitivities of the mismatches to the unknowns, and the mismatches.
     a, filled = np.empty((n_unknown, n_unknown + 1)), np.empty(n_unknown + 1, dtype=np.int64)
     turn = np.empty((n, n), dtype=np.complex128)
     for iteration in range(30):
-        worst = _write_jacobian(a, turn, y, slack, buses, at)
+        worst = _write_jacobian(a, turn, y, p, q, buses, at)
         if worst < POWER_FLOW_TOLERANCE:
             note_flow(y, buses, at)
             return iteration
         if not math.isfinite(worst) or not eliminate(a, filled):
             return -1
-        row = n - 1
         for k in range(n):
-            if k != slack:
-                buses[k, at.polar + 1] += a[k - 1 if k > slack else k, n_unknown]
-            if not buses[k, at.holds_voltage] > 0.5:
-                buses[k, at.polar] += a[row, n_unknown]
-                row += 1
+            if p[k] >= 0:
+                buses[k, at.polar + 1] += a[p[k], n_unknown]
+            if q[k] >= 0:
+                buses[k, at.polar] += a[q[k], n_unknown]
     return -1
 
 
 @internal
-def _write_jacobian(a: Floats, turn: Complex, y: Complex, slack: int, buses: Floats, at: PowerFlow) -> float:
+def _add(a: Floats, row: int, column: int, value: float) -> None:
+    if row >= 0 and column >= 0:
+        a[row, column] += value
+
+
+@internal
+def _write_jacobian(a: Floats, turn: Complex, y: Complex, p: Whole, q: Whole, buses: Floats, at: PowerFlow) -> float:
     """Write sensitivities and mismatches of a power flow to `a`; return the largest mismatch [p.u.]."""
-    n, n_unknown = y.shape[0], a.shape[0]
-    worst, q_row = 0.0, n - 1
+    worst, last = 0.0, a.shape[0]
     a[:] = 0.0
-    for i in range(n):
-        p_row = i - 1 if i > slack else i
-        sum_re, sum_im, diagonal, size = 0.0, 0.0, 0j, buses[i, at.polar]
-        holds, m_col = buses[i, at.holds_voltage] > 0.5, n - 1
-        diagonal_m = -1
-        for j in range(n):
+    for i in range(y.shape[0]):
+        sum_re, sum_im, size = 0.0, 0.0, buses[i, at.polar]
+        for j in range(y.shape[0]):
             # Sine and cosine of a pair of buses serve both ways round.
             if j > i and (y[i, j] != 0.0 or y[j, i] != 0.0):
                 d = buses[i, at.polar + 1] - buses[j, at.polar + 1]
                 turn[i, j] = complex(math.cos(d), math.sin(d))
                 turn[j, i] = turn[i, j].conjugate()
-            turned = turn[i, j] if j != i else 1.0 + 0j
-            varies = not buses[j, at.holds_voltage] > 0.5
             if y[i, j] != 0.0:
-                other = buses[j, at.polar]
+                turned, other = turn[i, j] if j != i else 1.0 + 0j, buses[j, at.polar]
                 s = size * other * y[i, j].conjugate() * turned
                 sum_re, sum_im = sum_re + s.real, sum_im + s.imag
                 if j != i:
-                    a_col = j - 1 if j > slack else j
-                    if i != slack and j != slack:
-                        a[p_row, a_col] += s.imag
-                    if not holds and j != slack:
-                        a[q_row, a_col] -= s.real
-                    if i != slack and varies:
-                        a[p_row, m_col] += s.real / other
-                    if not holds and varies:
-                        a[q_row, m_col] += s.imag / other
-            if j == i:
-                diagonal, diagonal_m = size**2 * y[i, i].conjugate(), m_col
-            if varies:
-                m_col += 1
-        if i != slack:
-            a[p_row, p_row] += diagonal.imag - sum_im
-            if not holds:
-                a[p_row, diagonal_m] += (sum_re + diagonal.real) / size
-            a[p_row, n_unknown] = buses[i, at.power] - sum_re
-            worst = max(worst, abs(buses[i, at.power] - sum_re))
-        if not holds:
-            if i != slack:
-                a[q_row, p_row] += sum_re - diagonal.real
-            a[q_row, diagonal_m] += (sum_im + diagonal.imag) / size
-            a[q_row, n_unknown] = buses[i, at.power + 1] - sum_im
-            worst = max(worst, abs(buses[i, at.power + 1] - sum_im))
-            q_row += 1
+                    _add(a, p[i], p[j], s.imag)
+                    _add(a, q[i], p[j], -s.real)
+                    _add(a, p[i], q[j], s.real / other)
+                    _add(a, q[i], q[j], s.imag / other)
+        diagonal = size**2 * y[i, i].conjugate()
+        _add(a, p[i], p[i], diagonal.imag - sum_im)
+        _add(a, p[i], q[i], (sum_re + diagonal.real) / size)
+        _add(a, q[i], p[i], sum_re - diagonal.real)
+        _add(a, q[i], q[i], (sum_im + diagonal.imag) / size)
+        for row, missing in ((p[i], buses[i, at.power] - sum_re), (q[i], buses[i, at.power + 1] - sum_im)):
+            if row >= 0:
+                a[row, last], worst = missing, max(worst, abs(missing))
     return worst
 
 
-@inlined
+@internal
 def note_flow(y: Complex, buses: Floats, at: PowerFlow) -> None:
     """Write voltages and flows of a solved power flow."""
     n = y.shape[0]
@@ -239,25 +228,20 @@ def pattern_of(y: Complex) -> Pattern:
     later = [sorted(int(place[other]) for other in row) for row in rows]
     first = np.cumsum([0, *map(len, later)])
     at = {(k, j): int(first[k]) + i for k, row in enumerate(later) for i, j in enumerate(row)}
-    targets, first_target = list[int](), [0]
-    for row in later:
-        for j in row:
-            for m in row:
-                targets.append(-1 - j if j == m else at[min(j, m), max(j, m)])
-            first_target.append(len(targets))
+    targets = [[-1 - j if j == m else at[min(j, m), max(j, m)] for m in row] for row in later for j in row]
     sorted_pairs = [sorted((int(place[a]), int(place[b]))) for a, b in pairs]
     return Pattern(
         order=np.array(order, dtype=np.int64),
         first=np.array(first, dtype=np.int64),
         later=np.array([j for row in later for j in row], dtype=np.int64),
-        first_target=np.array(first_target, dtype=np.int64),
-        target=np.array(targets, dtype=np.int64),
+        first_target=np.array([0, *itertools.accumulate(map(len, targets))], dtype=np.int64),
+        target=np.array([*itertools.chain(*targets)], dtype=np.int64),
         entry_of=np.array([at[a, b] for a, b in sorted_pairs], dtype=np.int64),
         pairs=np.array([(order[a], order[b]) for a, b in sorted_pairs], dtype=np.int64).reshape(-1, 2),
     )
 
 
-@inlined
+@internal
 def _less_product(block: Floats, a: Floats, b: Floats) -> None:
     """Subtract the product of two blocks from a third."""
     block[0, 0] -= a[0, 0] * b[0, 0] + a[0, 1] * b[1, 0]
@@ -266,7 +250,7 @@ def _less_product(block: Floats, a: Floats, b: Floats) -> None:
     block[1, 1] -= a[1, 0] * b[0, 1] + a[1, 1] * b[1, 1]
 
 
-@inlined
+@internal
 def _set(block: Floats, a: float, b: float, c: float, d: float) -> None:
     block[0, 0], block[0, 1], block[1, 0], block[1, 1] = a, b, c, d
 
@@ -295,12 +279,8 @@ def solve_blocks(diagonal: Floats, above: Floats, below: Floats, x: Floats, patt
             x[j, 1] -= low[1, 0] * x[k, 0] + low[1, 1] * x[k, 1]
             for i in range(end - begin):
                 target = pattern.target[pattern.first_target[e] + i]
-                if target < 0:
-                    _less_product(diagonal[-1 - target], low, above[begin + i])
-                elif j < pattern.later[begin + i]:
-                    _less_product(above[target], low, above[begin + i])
-                else:
-                    _less_product(below[target], low, above[begin + i])
+                off_diagonal = above if j < pattern.later[begin + i] else below
+                _less_product(diagonal[-1 - target] if target < 0 else off_diagonal[target], low, above[begin + i])
     for k in range(len(diagonal) - 1, -1, -1):
         for e in range(pattern.first[k], pattern.first[k + 1]):
             j = pattern.later[e]

@@ -11,7 +11,7 @@ from wtg_gym.physics.layout import OF_ENV, BatchData, Facts, Floats, Network, Wh
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
 from wtg_gym.physics.units import BUSES, ISLANDS, UNITS
-from wtg_gym.systems.compiled import addressed, allocating, compiled, inlined, internal
+from wtg_gym.systems.compiled import addressed, allocating, compiled, internal
 from wtg_gym.systems.programs import Complex
 from wtg_gym.systems.routines import Function
 
@@ -155,7 +155,7 @@ def _strike(event: Any, step: float, rows: _Rows, network: Network) -> None:
             source[_SOURCE_RAMP] -= event.ramp
 
 
-@inlined
+@internal
 def _ramped(event: Any, step: float, at: float) -> float:
     """Return the share of its load that an event has reached at `at`, steps since the run's start, seen from `step`."""
     return 1.0 if step >= event.end else (at - event.start) / (event.end - event.start)
@@ -321,16 +321,15 @@ def _load_of(bus: Floats, rows: _Rows, facts: Facts) -> complex:
 
 
 @compiled
-def assemble(y: Complex, unit_y: Complex, block: Floats, x: int, env: int, network: Network, data: BatchData) -> None:
+def assemble(y: Complex, unit_y: Complex, block: Floats, network: Network, data: BatchData) -> None:
     """Write the internal admittance of every unit of an environment and its bus admittances, without load noise [p.u.].
 
-    They are written to `unit_y` (n_unit,) and the first n_bus columns of `y` (n_bus, n), for the environment in column
-    x of a block and row `env` of the data. A unit that is disconnected has none, from the instant on at which a
-    protection trips it. Else the matrix is that of the network as it was last reduced, with its loads and events. The
-    step of that decides which events have struck; ramps have come half the way to the next change. A bus without
-    voltage stands alone.
+    They are written to `unit_y` (n_unit,) and the first n_bus columns of `y` (n_bus, n), for the first environment of
+    block and data. A unit that is disconnected has none, from the instant on at which a protection trips it. Else the
+    matrix is that of the network as it was last reduced, with its loads and events. The step of that decides which
+    events have struck; ramps have come half the way to the next change. A bus without voltage stands alone.
     """
-    _assemble(y, unit_y, _rows_of(block, x, network.facts), network, data.events[env])
+    _assemble(y, unit_y, _rows_of(block, 0, network.facts), network, data.events[0])
 
 
 @internal

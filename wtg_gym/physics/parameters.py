@@ -157,11 +157,7 @@ class GridFormingParameters(Checked):
     frequency_min_pu: float = parameter(0.992, "p.u.", "paper", "lower end of the regulation range ω_min", 0.5, 1.5)
     frequency_max_pu: float = parameter(1.008, "p.u.", "paper", "upper end of the regulation range ω_max", 0.5, 1.5)
     reactance_pu: float = design(
-        0.55,
-        "p.u.",
-        "X_g: K_p ≈ 1.5 with 0.1 p.u. more to a stiff bus (the paper's margins need 1.45)",
-        1e-4,
-        100.0,
+        0.55, "p.u.", "X_g: K_p ≈ 1.5 with 0.1 p.u. more to a stiff bus (the paper's margins need 1.45)", 1e-4, 100.0
     )
     damping_time_constant_s: float = parameter(0.8, "s", "paper", "transient damping time constant τ", 0.0, 1e5)
     deloading_nominal: float = parameter(0.05, "-", "paper", "deloading d_n at ω_st", 0.0, 0.9)
@@ -235,19 +231,10 @@ class ProtectionParameters(Checked):
     angle_spread_max_deg: float = design(180.0, "deg", "angle of two units at which synchronism is lost", 1.0, 1e9)
     low_voltage_pu: float = parameter(0.85, "p.u.", "ENTSO-E", "terminal voltage to ride through for a time", 0.0, 2.0)
     low_voltage_time_s: float = parameter(
-        3.0,
-        "s",
-        "ENTSO-E",
-        "that time, of 1.5 … 3.0 s for power park modules",
-        0.0,
-        1e9,
+        3.0, "s", "ENTSO-E", "that time, of 1.5 … 3.0 s for power park modules", 0.0, 1e9
     )
     internal_voltage_max_pu: float = design(
-        2.0,
-        "p.u.",
-        "largest voltage behind a unit's reactance at the start",
-        0.1,
-        1e9,
+        2.0, "p.u.", "largest voltage behind a unit's reactance at the start", 0.1, 1e9
     )
 
 

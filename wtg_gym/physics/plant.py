@@ -11,10 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics import integration, machine_models, machine_parameters, machine_unit, parameters, wind_turbine
+from wtg_gym.physics import (
+    integration,
+    machine_models,
+    machine_parameters,
+    machine_unit,
+    parameters,
+    units,
+    wind_turbine,
+)
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.converter import converter_limits, voltage_control
-from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
+from wtg_gym.physics.devices import SOURCES, Devices, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Facts, Layout, Network, Span, names_of
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
@@ -24,7 +32,7 @@ from wtg_gym.physics.protection import STAGES, Shedding
 from wtg_gym.physics.units import BUSES, ENV, ISLANDS, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
 from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
 from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
-from wtg_gym.systems.programs import Code, Complex, Floats, Program, Whole, link
+from wtg_gym.systems.programs import Code, Complex, Floats, MemoryMap, Program, Whole, link
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, structured
 
@@ -447,63 +455,55 @@ def programs_of(plant: PlantTables, *programs: Program) -> tuple[Program, ...]:
 def _joined(
     devices: tuple[Devices, ...], controls: tuple[str, ...], programs: tuple[Program, ...]
 ) -> tuple[Program, ...]:
-    systems = joining(devices) | machine_models.joining_controls(controls)
+    systems = units.joining([device.systems for device in devices]) | machine_models.joining_controls(controls)
     return tuple(program.joined(systems) for program in programs)
 
 
-class PlantMap:
-    """What :func:`~wtg_gym.systems.programs.link` asks of a plant and its layout, a `MemoryMap`."""
-
-    def __init__(self, plant: PlantTables, layout: Layout, task: TaskUnits) -> None:
-        self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen
-        n_wtg, network = plant.share.size, plant.network
-        has = {
-            "table": plant.cells.size > 0,
-            "curve": not plant.cells.size,
-            "extended": plant.extension.size > 0,
-            "constant voltage": not plant.extension.size,
-            "no machine": not plant.machines.size,
-            "sheds": plant.shedding.size > 0,
-            "saturates": any(rotor.curve.gain > 0.0 for rotor in plant.saturation),
-            "secondary control": plant.of_env["secondary_gain"] > 0.0,
-        }
-        added = [*task.has, *(condition for device in plant.devices for condition in device.has)]
-        require_known("conditions", added, [condition for kind in layout.counts for condition in kind.conditions])
-        self._has = {*(condition for condition, holds in has.items() if holds), *added}
-        # Rating, weights as a machine and as a group, participation.
-        machines = zip(plant.machines["rating"], plant.machines["reactive_weight"], plant.participation, strict=True)
-        sizes = [(rating, weight, 0.0, share) for rating, weight, share in machines]
-        sizes += [(0.0, 0.0, weight, 0.0) for weight in plant.share]
-        for device in plant.devices:
-            sizes += [(w, w, 0.0, 0.0) if device.balances else (0.0, 0.0, w, 0.0) for w in device.reactive_weights]
-        connections = [
-            Connection(float(number), *size, Phasor(y.real, y.imag))
-            for number, (size, y) in enumerate(zip(sizes, network.unit_y, strict=True))
-        ]
-        self._constants: dict[tuple[Kind, str], Any] = {
-            (machine_unit.MACHINES, "machine"): plant.machines,
-            (machine_unit.MACHINES, "dispatch"): plant.dispatch,
-            (machine_unit.MACHINES, "saturation"): plant.saturation,
-            (GROUPS, "turbine"): plant.turbine[:n_wtg],
-            (GROUPS, "cells"): plant.cells,
-            (GROUPS, "share"): plant.share,
-            (GROUPS, "inv_share"): 1.0 / plant.share,
-            (EXTENSIONS, "extension"): plant.extension[:n_wtg],
-            (STAGES, "stage"): plant.shedding,
-            (BUSES, "bus"): plant.buses,
-            (UNITS, "connection"): connections,
-            (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
-            **{(ENV, name): [value] for name, value in plant.of_env.items()},
-            **{(machine_models.CONTROLS[name].kind, "model"): values for name, values in plant.controls.items()},
-            **{(device.kind, name): values for device in plant.devices for name, values in device.constants.items()},
-            **task.constants,
-        }
-
-    def constants(self, kind: Kind, name: str) -> Any:
-        return self._constants[kind, name]
-
-    def has(self, what: str) -> bool:
-        return what in self._has
+def memory_map(plant: PlantTables, layout: Layout, task: TaskUnits) -> MemoryMap:
+    """Return what :func:`~wtg_gym.systems.programs.link` asks of a plant and its layout."""
+    n_wtg, network = plant.share.size, plant.network
+    has = {
+        "table": plant.cells.size > 0,
+        "curve": not plant.cells.size,
+        "extended": plant.extension.size > 0,
+        "constant voltage": not plant.extension.size,
+        "no machine": not plant.machines.size,
+        "sheds": plant.shedding.size > 0,
+        "saturates": any(rotor.curve.gain > 0.0 for rotor in plant.saturation),
+        "secondary control": plant.of_env["secondary_gain"] > 0.0,
+    }
+    added = [*task.has, *(condition for device in plant.devices for condition in device.has)]
+    require_known("conditions", added, [condition for kind in layout.counts for condition in kind.conditions])
+    conditions = {*(condition for condition, holds in has.items() if holds), *added}
+    # Rating, weights as a machine and as a group, participation.
+    machines = zip(plant.machines["rating"], plant.machines["reactive_weight"], plant.participation, strict=True)
+    sizes = [(rating, weight, 0.0, share) for rating, weight, share in machines]
+    sizes += [(0.0, 0.0, weight, 0.0) for weight in plant.share]
+    for device in plant.devices:
+        sizes += [(w, w, 0.0, 0.0) if device.balances else (0.0, 0.0, w, 0.0) for w in device.reactive_weights]
+    connections = [
+        Connection(float(number), *size, Phasor(y.real, y.imag))
+        for number, (size, y) in enumerate(zip(sizes, network.unit_y, strict=True))
+    ]
+    constants: dict[tuple[Kind, str], Any] = {
+        (machine_unit.MACHINES, "machine"): plant.machines,
+        (machine_unit.MACHINES, "dispatch"): plant.dispatch,
+        (machine_unit.MACHINES, "saturation"): plant.saturation,
+        (GROUPS, "turbine"): plant.turbine[:n_wtg],
+        (GROUPS, "cells"): plant.cells,
+        (GROUPS, "share"): plant.share,
+        (GROUPS, "inv_share"): 1.0 / plant.share,
+        (EXTENSIONS, "extension"): plant.extension[:n_wtg],
+        (STAGES, "stage"): plant.shedding,
+        (BUSES, "bus"): plant.buses,
+        (UNITS, "connection"): connections,
+        (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
+        **{(ENV, name): [value] for name, value in plant.of_env.items()},
+        **{(machine_models.CONTROLS[name].kind, "model"): values for name, values in plant.controls.items()},
+        **{(device.kind, name): values for device in plant.devices for name, values in device.constants.items()},
+        **task.constants,
+    }
+    return MemoryMap(layout.n_units, layout.first_rows, layout.seen, constants, conditions)
 
 
 def with_places(
@@ -531,7 +531,7 @@ def with_places(
         facts=facts,
         connected=np.concatenate(connected),
         angles=np.concatenate(angles),
-        code=link(programs, PlantMap(plant, layout, task), taped),
+        code=link(programs, memory_map(plant, layout, task), taped),
     )
     return plant._replace(network=network).with_addresses(plant.network.code.addresses)
 

@@ -188,10 +188,7 @@ class Shedding(NamedTuple):
 #: Stages of load shedding in every island. `shed` counts steps with a low frequency; once the stage has acted, it is
 #: -1 - the step of that.
 STAGES = Kind(
-    name="shedding stages",
-    rows={"shed": float},
-    constants={"stage": Shedding},
-    sees={"island": ISLANDS, "env": ENV},
+    name="shedding stages", rows={"shed": float}, constants={"stage": Shedding}, sees={"island": ISLANDS, "env": ENV}
 )
 
 
@@ -345,9 +342,8 @@ def judge_island(
     over-speed of the last such group; loss of synchronism; voltage collapse; frequency limit. The others follow from
     it. An island without a unit has no voltage.
     """
-    violation = select(
-        (centre < limits.frequency_min) | (centre > limits.frequency_max), float(Status.FREQUENCY_LIMIT), 0.0
-    )
+    beyond = (centre < limits.frequency_min) | (centre > limits.frequency_max)
+    violation = select(beyond, float(Status.FREQUENCY_LIMIT), 0.0)
     empty = spread.least_angle > spread.largest_angle
     healthy = spread.least_squared_voltage >= limits.low_voltage * limits.low_voltage
     healthy_step = select(active > 0.5, select(healthy, step, healthy_step), healthy_step)

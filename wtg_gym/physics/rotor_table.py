@@ -96,7 +96,6 @@ class RotorTable:
 @functools.lru_cache(maxsize=16)
 def _surface(table: RotorTable) -> tuple[Grid, Cells]:
     # Few plants have a table, and this takes a fifth of a second.
-
     ratio, pitch = np.array(table.tip_speed_ratio), np.array(table.pitch_deg)
     spline = RectBivariateSpline(ratio, pitch, np.array(table.power_coefficient), kx=3, ky=3, s=0.0)
     n_ratio = _n_steps(ratio[-1] - ratio[0], np.diff(ratio).min())

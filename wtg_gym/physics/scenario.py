@@ -279,9 +279,7 @@ Event = (
     | FrequencyRamp
 )
 #: Events by the names of their kinds in data: LoadStep is "load_step".
-EVENT_KINDS: dict[str, type[Any]] = {
-    re.sub(r"\B(?=[A-Z])", "_", event.__name__).lower(): event for event in get_args(Event)
-}
+EVENT_KINDS: dict[str, type[Any]] = {re.sub(r"\B(?=[A-Z])", "_", e.__name__).lower(): e for e in get_args(Event)}
 _KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
 
 

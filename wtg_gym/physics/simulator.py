@@ -97,10 +97,6 @@ class BlockThreads:
 _CHECKED_WINDS = (8.0, 16.0)
 
 
-def _copy(data: BatchData) -> BatchData:
-    return BatchData._make(array.copy() for array in data)
-
-
 @functools.lru_cache(maxsize=64)
 def _checked_inertias(settings: Plant) -> dict[tuple[TrackingLaw, ...], float]:
     """Return, for the laws of a plant, the smallest inertia scale at which its integration step was checked."""
@@ -252,9 +248,8 @@ class Simulator:
         try:
             linearisation.check_step(rows, self.plant, self.layout)
         except ValueError as error:
-            raise ValueError(
-                f"{equilibrium.scenario_name(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}"
-            ) from None
+            name = equilibrium.scenario_name(scenario)
+            raise ValueError(f"{name}, inertia_scale = {scenario.inertia_scale:g}: {error}") from None
 
     def _allocate_data(self, n: int, n_events: int) -> BatchData:
         return BatchData(
@@ -424,19 +419,18 @@ class Simulator:
         integration.evaluate_blocks(blocks, scratches, self.plant.network)
         return scratches
 
-    def bus_voltages(self, env: int = 0) -> Complex:
-        """Return the bus voltages at the present state of an environment, shape (n_bus,) [p.u.].
+    def bus_voltages(self) -> Complex:
+        """Return the bus voltages at the present state of the first environment, shape (n_bus,) [p.u.].
 
         Angles count from the rotor of the first machine, which goes on at its last speed after an outage.
         """
-        block, x = self.blocks[env // self.width], env % self.width
-        scratch = self._evaluated(block[np.newaxis].copy())[0, :, x]
+        scratch = self._evaluated(self.blocks[:1].copy())[0, :, 0]
         first = self.layout.first_rows(UNITS, "voltage")
         internal = scratch[first] + 1j * scratch[first + 1]
-        network, noise_bus = self.plant.network, int(self.env_values("noise_bus")[env])
+        network, noise_bus = self.plant.network, int(self.env_values("noise_bus")[0])
         y, unit_y = np.zeros((network.shunts.size,) * 2, dtype=np.complex128), np.zeros_like(network.unit_y)
-        network_events.assemble(y, unit_y, block, x, env, network, self.data)
-        y[noise_bus, noise_bus] += self.env_values("noise_y")[env]
+        network_events.assemble(y, unit_y, self.blocks[0], network, self.data)
+        y[noise_bus, noise_bus] += self.env_values("noise_y")[0]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)
         voltages: Complex = np.linalg.solve(y, injected).astype(np.complex128)
@@ -453,13 +447,13 @@ class Simulator:
 
     def snapshot(self) -> tuple[Floats, BatchData]:
         """Return a copy of everything that changes; :meth:`restore` goes back to it."""
-        return self.blocks.copy(), _copy(self.data)
+        return self.blocks.copy(), BatchData(*map(np.copy, self.data))
 
     def restore(self, snapshot: tuple[Floats, BatchData]) -> None:
         """Go back to a :meth:`snapshot` of a simulator of the same size; it can be used again."""
         blocks, data = snapshot
         self.blocks[:] = blocks
-        self.data = _copy(data)
+        self.data = BatchData(*map(np.copy, data))
 
     def close(self) -> None:
         """Stop the worker threads."""

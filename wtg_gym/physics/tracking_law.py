@@ -19,7 +19,7 @@ from wtg_gym.files import interpreting, read_toml
 from wtg_gym.names import check_name, plain_name
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.ranges import did_you_mean, require_known, require_range
+from wtg_gym.ranges import Checked, did_you_mean, require_known, require_range
 
 _Turbine = TurbineParameters | None
 _Control = GridFormingParameters | None
@@ -49,7 +49,7 @@ _LEAST_PERCENT = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackingLaw:
+class TrackingLaw(Checked):
     """A control law as data. A ValueError says that a coefficient or τ is outside its range, or the name is none."""
 
     name: str  # short, used in tables; see :func:`~wtg_gym.names.check_name`
@@ -58,11 +58,8 @@ class TrackingLaw:
     k_max: float  # at ω_max and above [p.u.]
     damping_time_constant_s: float = math.inf  # τ [s], 0.05 … 100000; 0 cancels the droop, infinity keeps it
 
-    def __new__(cls, **values: Any) -> "TrackingLaw":
-        require_known("arguments of TrackingLaw", values, [field.name for field in dataclasses.fields(cls)])
-        return super().__new__(cls)
-
     def __post_init__(self) -> None:
+        # In place of the check of fields as such: an error names the law.
         check_name("the name of a law", self.name)
         for key in ("k_min", "k_nominal", "k_max"):
             name, k = f"{key} of law {self.name!r}", getattr(self, key)

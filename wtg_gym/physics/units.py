@@ -1,8 +1,9 @@
 """The environment that all units are in, and the network between them."""
 
 import functools
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
 
@@ -214,6 +215,12 @@ class ControlJoining(StrEnum):
     MOVE = "control move"
     RATES = "control rates"
     START = "control start"
+
+
+def joining(systems: Sequence[Mapping[str, tuple[System, ...]]]) -> dict[str, tuple[System, ...]]:
+    """Return the systems of several, each by the places where they join lists, as those of all by these places."""
+    places = dict.fromkeys(itertools.chain(*systems))
+    return {place: tuple(itertools.chain(*(each.get(place, ()) for each in systems))) for place in places}
 
 
 #: The environment that a unit is in, a column of a block. Numbers of a whole run are of the environment.

@@ -93,12 +93,13 @@ def cache_folder() -> Path | None:
 Processor = tuple[str, str, str]
 
 
-def shipped_for(processor: Processor) -> list[Processor]:
-    """Return processors, as numba tells them, that a wheel may have code for which runs on this one."""
+def places_for(folder: Path | None, processor: Processor) -> list[tuple[Path | None, Processor]]:
+    """Return folders and whose code they may hold: that for a processor, as numba tells it; then those of a wheel."""
     if not SHIPPED.is_dir():
-        return []
+        return [(folder, processor)]
     has = llvmlite.binding.get_host_cpu_features()
-    return [processor, *((processor[0], name, "") for name, needed in KINDS.items() if all(map(has.get, needed)))]
+    kinds = [(processor[0], name, "") for name, needed in KINDS.items() if all(map(has.get, needed))]
+    return [(folder, processor), *((SHIPPED, each) for each in (processor, *kinds))]
 
 
 def kept(path: Path | None, key: bytes) -> bytes | None:
@@ -133,11 +134,8 @@ class DiskCache(NullCache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the machine code for a signature; None makes numba compile."""
         target_context.refresh()
-        processor = target_context.codegen().magic_tuple()
-        places = [(self._folder, processor), *((SHIPPED, processor) for processor in shipped_for(processor))]
-        for folder, processor in places:
-            key = self._key(sig, processor)
-            code = None if folder is None else kept(self._path(folder, key), key)
+        for folder, processor in places_for(self._folder, target_context.codegen().magic_tuple()):
+            code = kept(*self._place(folder, sig, processor))
             # A pickle of another version of numba may raise any error.
             with contextlib.suppress(Exception):
                 if code is not None:
@@ -146,16 +144,13 @@ class DiskCache(NullCache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what numba has compiled."""
-        if self._folder is None or data.library.has_dynamic_globals:
-            return
-        key = self._key(sig, data.codegen.magic_tuple())
-        keep(self._path(self._folder, key), key, dumps(data._reduce()))
+        if not data.library.has_dynamic_globals:
+            keep(*self._place(self._folder, sig, data.codegen.magic_tuple()), dumps(data._reduce()))
 
-    def _key(self, sig: Any, processor: Processor) -> bytes:
-        return digest_of(repr((self._source, sig, processor)).encode())
-
-    def _path(self, folder: Path, key: bytes) -> Path:
-        return folder / f"{self._name.removeprefix('wtg_gym.')}-{key.hex()[:16]}.nbc"
+    def _place(self, folder: Path | None, sig: Any, processor: Processor) -> tuple[Path | None, bytes]:
+        """Return the file of the code, and the key that it is kept under."""
+        key = digest_of(repr((self._source, sig, processor)).encode())
+        return folder and folder / f"{self._name.removeprefix('wtg_gym.')}-{key.hex()[:16]}.nbc", key
 
 
 @functools.cache
@@ -283,13 +278,4 @@ def allocating(function: F) -> F:
 def _part(function: F, **options: Any) -> F:
     options |= dict(nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True)
     result: F = numba.njit(**options)(function)
-    return result
-
-
-def inlined(function: F) -> F:
-    """Build a few operations into whatever compiled function calls them, before that is compiled.
-
-    Numba copies the whole caller for it: a function with loops or many lines is better :func:`internal`.
-    """
-    result: F = numba.njit(nogil=True, error_model="numpy", inline="always")(function)
     return result

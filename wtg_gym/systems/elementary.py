@@ -90,11 +90,9 @@ def exponential(x: float) -> float:
     f = fma(9.674091802894908e-11, r, 1.905854340714108e-09)
     a, c, e = fma(b, r2, a), fma(d, r2, c), fma(f, r2, e)
     p = fma(r2, fma(fma(e, r4, c), r4, a), r) + 1.0
-    p = p * p
-    p = p * p
-    p = p * p
-    p = p * p
-    return p * p
+    for _ in range(5):
+        p = p * p
+    return p
 
 
 def limited_rate(rate: float, value: float, low: float, high: float) -> float:

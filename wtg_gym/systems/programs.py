@@ -5,10 +5,10 @@ block: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,15 +38,14 @@ class Product:
     of: Kind | None = None  # whose result it is; None: of the same units
 
     def __post_init__(self) -> None:
-        matrix = self.pairs.record_of(self.matrix, "rows", "scratch")
-        vectors = (
+        records = (
+            self.pairs.record_of(self.matrix, "rows", "scratch"),
             self.units.record_of(self.vector, "scratch"),
             (self.of or self.units).record_of(self.result, "scratch"),
         )
-        if any(count(record) != 2 for record in (matrix, *vectors)):
-            raise TypeError(
-                f"{self.matrix!r}, {self.vector!r} and {self.result!r} of a product must be complex numbers"
-            )
+        if any(count(record) != 2 for record in records):
+            names = f"{self.matrix!r}, {self.vector!r} and {self.result!r}"
+            raise TypeError(f"{names} of a product must be complex numbers")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,23 +103,14 @@ class Code(NamedTuple):
         return Code, (self.rows, self.constants)
 
 
-class MemoryMap(Protocol):
+class MemoryMap(NamedTuple):
     """Where a plant has its rows, and what is constant."""
 
-    def n_units(self, kind: Kind) -> int:
-        """Return how many units of a kind there are."""
-
-    def first_rows(self, kind: Kind, part: str) -> Whole:
-        """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
-
-    def seen(self, kind: Kind, label: str) -> Whole:
-        """Return the index of the unit that each unit of a kind sees by a label, (n_units,)."""
-
-    def constants(self, kind: Kind, name: str) -> Sequence[Any]:
-        """Return a constant of each unit: records, or numbers (n_units,)."""
-
-    def has(self, what: str) -> bool:
-        """Return whether the plant has what a system is for."""
+    n_units: Callable[[Kind], int]
+    first_rows: Callable[[Kind, str], Whole]  # of a part of each unit (n_units,), in the block or in scratch
+    seen: Callable[[Kind, str], Whole]  # index of the unit that each unit of a kind sees by a label (n_units,)
+    constants: Mapping[tuple[Kind, str], Sequence[Any]]  # of each unit: records, or numbers (n_units,)
+    conditions: Collection[str]  # that hold: what the plant has of what systems are for
 
 
 def _flat(entries: Sequence[Any]) -> Iterator[Any]:
@@ -152,6 +142,7 @@ class Program:
         self.name, self.number, self._unjoined = name, number, tuple(entries)
         self.entries: tuple[Any, ...] = tuple(_with(entries, {}))
         self.places = {id(entry): _MOST * number + i for i, entry in enumerate(_flat(self.entries))}
+        self.systems = [entry for entry in _flat(self.entries) if isinstance(entry, System)]
         self._digests: dict[bool, str] = {}
         if len(self.places) > _MOST:
             raise ValueError(f"program {name!r} has {len(self.places)} entries; allowed: at most {_MOST}")
@@ -167,16 +158,15 @@ class Program:
         if back not in self._digests:
             content = self.name, list(self.places.values()), [_content(entry) for entry in self.entries]
             sha = hashlib.sha256(repr(content).encode())
-            for entry in _flat(self.entries):
-                for line in _operations(entry, back=back) if isinstance(entry, System) else ():
+            for system in self.systems:
+                for line in _operations(system, back=back):
                     sha.update(repr(line).encode())
             self._digests[back] = sha.hexdigest()
         return self._digests[back]
 
     def tape_rows(self, plant: MemoryMap) -> int:
         """Return how many rows a run of the program notes."""
-        systems = (entry for entry in _flat(self.entries) if isinstance(entry, System))
-        return sum(len(system.noted) * _n_units(system, plant) for system in systems)
+        return sum(len(system.noted) * _n_units(system, plant) for system in self.systems)
 
 
 def _content(entry: Any) -> tuple[Any, ...]:
@@ -196,7 +186,7 @@ def _content(entry: Any) -> tuple[Any, ...]:
 
 def _operations(system: System, *, back: bool) -> Iterator[Any]:
     """Yield what the machine code of a system works out, or that of the way back through it."""
-    stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in system.trace.stores]
+    stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in system.trace().stores]
     if back:
         stores += [*system.adjoint.inputs.items(), *system.adjoint.constants.items()]
         yield system.noted, list(system.adjoint.seeds.values())
@@ -208,7 +198,7 @@ def _operations(system: System, *, back: bool) -> Iterator[Any]:
 
 def _n_units(entry: Any, plant: MemoryMap) -> int:
     if isinstance(entry, System):
-        return plant.n_units(entry.kind) if entry.when is None or plant.has(entry.when) else 0
+        return plant.n_units(entry.kind) if entry.when is None or entry.when in plant.conditions else 0
     return plant.n_units(entry.units) if isinstance(entry, Product) else 1
 
 
@@ -242,19 +232,15 @@ def constant_places(
 
     Argument and leaf are as in "machine" and "governor.droop"; the unit is None for all of its kind.
     """
-    indices = []
+    indices, name = list[int](), f"{argument}.{leaf}"
     for program in programs:
-        for system in (entry for entry in _flat(program.entries) if isinstance(entry, System)):
+        for system in program.systems:
             used = system.constants_used
-            if f"{argument}.{leaf}" not in used:
-                continue
-            n, place = _n_units(system, plant), system.places[argument]
-            units = plant.seen(system.kind, place.seen)[:n] if place.seen else np.arange(n)
-            first = int(code.rows[HEAD * program.places[id(system)] + 2])
-            indices += [
-                first + int(k) * len(used) + used.index(f"{argument}.{leaf}")
-                for k in np.flatnonzero((units == unit) | (unit is None))
-            ]
+            if name in used:
+                n, place = _n_units(system, plant), system.places[argument]
+                units = plant.seen(system.kind, place.seen)[:n] if place.seen else np.arange(n)
+                first = int(code.rows[HEAD * program.places[id(system)] + 2]) + used.index(name)
+                indices += (first + len(used) * np.flatnonzero((units == unit) | (unit is None))).tolist()
     return indices
 
 
@@ -284,7 +270,7 @@ def _constants_of(system: System, plant: MemoryMap, n: int, numbers: list[float]
     values: dict[str, Floats] = {}
     for argument in dict.fromkeys(name.partition(".")[0] for name in used):
         place = system.places[argument]
-        constants = plant.constants(place.kind, place.part)
+        constants = plant.constants[place.kind, place.part]
         if place.record is ex.Cells:
             key = place.kind, place.part
             if key not in cells:

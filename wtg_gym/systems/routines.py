@@ -5,7 +5,6 @@ blocks, by whatever functions it is called, and again only if its own equations 
 into each of its callers, and into each of theirs, and compile it there again.
 """
 
-import ctypes
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 from wtg_gym.systems import compiled
-from wtg_gym.systems.programs import Code, Floats, Program, Whole
+from wtg_gym.systems.programs import Program, Whole
 from wtg_gym.systems.systems import SCALARS
 from wtg_gym.systems.writers import Writer
 
@@ -49,8 +48,7 @@ class Routine:
         if not 0 <= variant < _VARIANTS:
             raise ValueError(f"variant of {program.name} must be 0 … {_VARIANTS - 1}, got {variant}")
         self.program, self.variant, self._writer, self._known = program, variant, writer, known
-        self._at = _FUNCTIONS + 2 * (program.number * _VARIANTS + variant)
-        self.call = _call(self._at, writer.n_arrays)
+        self.call = _call(_FUNCTIONS + 2 * (program.number * _VARIANTS + variant), writer.n_arrays)
 
     def address(self, program: Program, width: int) -> int:
         """Return where the machine code of a program for blocks of a width is in this process.
@@ -60,17 +58,15 @@ class Routine:
         n_arrays, purpose = self._writer.n_arrays, self._writer.purpose
         content = (program.digest(back=n_arrays > 2), purpose, width, sorted(self._known.items()), _writers_hash())
         folder = compiled.cache_folder()
-        places = [
-            (folder and folder.parent, _processor()),
-            *((compiled.SHIPPED, processor) for processor in compiled.shipped_for(_processor())),
-        ]
+        places = compiled.places_for(folder and folder.parent, _processor())
         keys = [compiled.digest_of(repr((content, processor, compiled.VERSIONS)).encode()) for _, processor in places]
         # Threads may ask at once.
         with global_compiler_lock:
             if keys[0] not in _ADDRESSES:
                 names = [f"{program.name.lower()}-{key.hex()[:16]}" for key in keys]
-                bases = [base and base / "programs" for base, _ in places]
-                paths = [base and base / f"{name}.o" for base, name in zip(bases, names, strict=True)]
+                paths = [
+                    base and base / "programs" / f"{name}.o" for (base, _), name in zip(places, names, strict=True)
+                ]
                 codes = (compiled.kept(path, key) for path, key in zip(paths, keys, strict=True))
                 name, code = next((pair for pair in zip(names, codes, strict=True) if pair[1]), (names[0], None))
                 if code is None:
@@ -82,32 +78,6 @@ class Routine:
                 engine.finalize_object()
                 _ADDRESSES[keys[0]] = engine.get_function_address(name)
             return _ADDRESSES[keys[0]]
-
-    def __call__(self, arrays: Sequence[Floats], code: Code, scalars: Sequence[float] = ()) -> None:
-        """Run it from Python on arrays in C order, (n_rows, width), or (n_blocks, n_rows, width) block by block.
-
-        Without addresses the code is of the routine's own program. A ValueError says that the arrays have another
-        width, or the code no address for them.
-        """
-        stacks = [array if array.ndim == 3 else array[np.newaxis] for array in arrays]
-        width = stacks[0].shape[2]
-        if width not in (1, WIDE) or any(stack.shape[2] != width for stack in stacks):
-            raise ValueError(f"arrays must have 1 or {WIDE} columns each, got {[array.shape for array in arrays]}")
-        at = self._at + (width > 1)
-        if not code.addresses.size:
-            address = self.address(self.program, width)
-        elif at >= code.addresses.size or not (address := int(code.addresses[at])):
-            raise ValueError(f"there is no code of {self.program.name!r} for blocks of {width}")
-        argument_types = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
-        function = ctypes.CFUNCTYPE(None, *argument_types)(address)
-        constant = (
-            code.rows.ctypes.data,
-            code.constants.ctypes.data,
-            *(scalars if len(scalars) else (0.0,) * len(SCALARS)),
-        )
-        places = [(stack.ctypes.data, stack.strides[0]) for stack in stacks]
-        for block in range(len(stacks[0])):
-            function(*(data + block * stride for data, stride in places), *constant)
 
     def _compiled(self, program: Program, name: str, width: int) -> bytes:
         n_arrays = self._writer.n_arrays

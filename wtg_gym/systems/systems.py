@@ -9,9 +9,9 @@ A system says nothing of loops, of how many units or environments there are, nor
 """
 
 import functools
-import importlib
 import inspect
 import pickle
+import pkgutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -273,7 +273,7 @@ class System:
         module, name = self.equation.__module__, self.name
         if getattr(sys.modules.get(module), name, None) is not self:
             raise pickle.PicklingError(f"system {name!r} cannot be pickled: module {module} has none of this name")
-        return _of_module, (module, name)
+        return pkgutil.resolve_name, (f"{module}:{name}",)
 
     def __deepcopy__(self, memo: Any) -> "System":
         return self
@@ -296,13 +296,8 @@ class System:
     def arguments_named(self) -> tuple[str, ...]:
         return self.arguments or _parameters(self.equation)
 
-    @property
-    def trace(self) -> Trace:
-        """The program of the equation, to the last bit."""
-        return self.trace_with()
-
-    def trace_with(self, **known: float) -> Trace:
-        """Return the program of the equation where some scalars are known."""
+    def trace(self, **known: float) -> Trace:
+        """Return the program of the equation, to the last bit, where some scalars are known."""
         key = tuple(sorted((name, value) for name, value in known.items() if name in self.arguments_named))
         if key not in self._traces:
             with ex.making():
@@ -355,8 +350,8 @@ class System:
     @functools.cached_property
     def constants_used(self) -> list[str]:
         """Constants that the result depends on."""
-        names = self.trace.constants
-        return [names[number] for number in ex.needed(value for *_, value in self.trace.stores) if number in names]
+        names, stores = self.trace().constants, self.trace().stores
+        return [names[number] for number in ex.needed(value for *_, value in stores) if number in names]
 
     @functools.cached_property
     def noted(self) -> list[tuple[str, int]]:
@@ -390,10 +385,6 @@ class System:
 
 def _parameters(function: Callable[..., Any]) -> tuple[str, ...]:
     return tuple(inspect.signature(function).parameters)
-
-
-def _of_module(module: str, name: str) -> Any:
-    return getattr(importlib.import_module(module), name)
 
 
 def system(

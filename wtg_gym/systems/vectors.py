@@ -176,15 +176,28 @@ class Lanes:
 @contextmanager
 def repeated(builder: Any, n: Any) -> Iterator[Any]:
     """Build a loop whose body runs n times; the context's value is the count from 0 on."""
+    with accumulated(builder, n, ()) as (count, *_):
+        yield count
+
+
+@contextmanager
+def accumulated(builder: Any, n: Any, first: Sequence[Any]) -> Iterator[tuple[Any, list[Any], list[Any]]]:
+    """Build such a loop with numbers that change in it, and are `first` before it.
+
+    The context's values are the count, the numbers, also behind the loop, and a list that takes their next values.
+    """
     entry = builder.block
     check, body, done = (builder.append_basic_block(name) for name in ("check", "body", "done"))
     builder.branch(check)
     builder.position_at_end(check)
-    count = builder.phi(_WHOLE)
-    count.add_incoming(_WHOLE(0), entry)
+    values, following = [_WHOLE(0), *first], list[Any]()
+    count, *numbers = phis = [builder.phi(value.type) for value in values]
+    for phi, value in zip(phis, values, strict=True):
+        phi.add_incoming(value, entry)
     builder.cbranch(builder.icmp_signed("<", count, n), body, done)
     builder.position_at_end(body)
-    yield count
-    count.add_incoming(builder.add(count, _WHOLE(1)), builder.block)
+    yield count, numbers, following
+    for phi, value in zip(phis, (builder.add(count, _WHOLE(1)), *following), strict=True):
+        phi.add_incoming(value, builder.block)
     builder.branch(check)
     builder.position_at_end(done)

@@ -10,7 +10,7 @@ from llvmlite import ir
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.programs import HEAD, Each, Product, Program, Repeat, When
 from wtg_gym.systems.systems import Place, System, Trace
-from wtg_gym.systems.vectors import Lanes, repeated
+from wtg_gym.systems.vectors import Lanes, accumulated, repeated
 
 _WHOLE = ir.IntType(64)
 #: Rows of a matrix that are multiplied side by side.
@@ -60,7 +60,7 @@ class Writer:
         return self.builder.load(self.builder.gep(self.rows, [place]))
 
     def _system(self, system: System, unit: Any) -> None:
-        lanes, trace = self.lanes, system.trace_with(**self.known)
+        lanes, trace = self.lanes, system.trace(**self.known)
         rows = self._rows(system, unit)
         inputs = self._inputs(system, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k)))
         instruction = lanes.program(inputs)
@@ -85,18 +85,14 @@ class Writer:
             lanes.store(result, self._at(rows[name], k))
 
     def _rows(self, system: System, unit: Any) -> dict[str, Any]:
-        slots, places = system.slots, system.places
-        base = self.builder.add(self._head(system, 1), self.builder.mul(unit, _WHOLE(len(slots))))
-        return {
-            name: self._row(places[name], self._whole(self.builder.add(base, _WHOLE(i))))
-            for i, name in enumerate(slots)
-        }
+        slots, places, add = system.slots, system.places, self.builder.add
+        base = add(self._head(system, 1), self.builder.mul(unit, _WHOLE(len(slots))))
+        return {name: self._row(places[name], self._whole(add(base, _WHOLE(i)))) for i, name in enumerate(slots)}
 
     def _inputs(
         self, system: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
     ) -> dict[ex.Number, Callable[[], Any]]:
         builder, lanes = self.builder, self.lanes
-
         first = builder.gep(self.constants, [self._first_constant(system, unit)])
 
         def constant(name: str) -> Any:
@@ -160,46 +156,35 @@ class Writer:
     def _pointer(self, data: Any, row: Any) -> Any:
         return self.builder.gep(data, [self.builder.mul(row, _WHOLE(self.lanes.width))])
 
+    def _complex(self, data: Any, row: Any) -> tuple[Any, Any, Any]:
+        """Return where a complex number lies, and its parts."""
+        first = self._pointer(data, row)
+        return first, self.lanes.load(first), self.lanes.load(self._at(first, 1))
+
+    def _store_complex(self, first: Any, re: Any, im: Any) -> None:
+        self.lanes.store(re, first)
+        self.lanes.store(im, self._at(first, 1))
+
     def _product(self, entry: Product) -> None:
         builder, lanes = self.builder, self.lanes
         n = self._head(entry, 0)
         matrix, stride, vector, vector_stride, result, result_stride, n_results = self._places(entry, range(7))
         of_matrix = self.block if entry.matrix in entry.pairs.rows else self.scratch
 
-        def load(data: Any, row: Any) -> tuple[Any, Any]:
-            first = self._pointer(data, row)
-            return lanes.load(first), lanes.load(self._at(first, 1))
-
         def rows(first_row: Any, n_rows: int) -> None:
             """Write the results of some rows of the matrix: several sums at once need not wait for each other."""
-            entry_block = builder.block
-            check, body, done = (builder.append_basic_block(name) for name in ("columns", "column", "summed"))
-            builder.branch(check)
-            builder.position_at_end(check)
-            column = builder.phi(_WHOLE)
-            column.add_incoming(_WHOLE(0), entry_block)
-            sums = [[builder.phi(lanes.vector) for _ in range(2)] for _ in range(n_rows)]
-            for pair in sums:
-                for phi in pair:
-                    phi.add_incoming(lanes.constant(0.0), entry_block)
-            builder.cbranch(builder.icmp_signed("<", column, n), body, done)
-            builder.position_at_end(body)
-            e_re, e_im = load(self.scratch, builder.add(vector, builder.mul(column, vector_stride)))
-            for i, (re, im) in enumerate(sums):
-                place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
-                y_re, y_im = load(of_matrix, builder.add(matrix, builder.mul(place, stride)))
-                d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
-                d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
-                re.add_incoming(builder.fadd(re, d_re), builder.block)
-                im.add_incoming(builder.fadd(im, d_im), builder.block)
-            column.add_incoming(builder.add(column, _WHOLE(1)), builder.block)
-            builder.branch(check)
-            builder.position_at_end(done)
-            for i, (re, im) in enumerate(sums):
+            zeros = [lanes.constant(0.0)] * (2 * n_rows)
+            with accumulated(builder, n, zeros) as (column, sums, following):
+                _, e_re, e_im = self._complex(self.scratch, builder.add(vector, builder.mul(column, vector_stride)))
+                for i, (re, im) in enumerate(zip(sums[::2], sums[1::2], strict=True)):
+                    place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
+                    _, y_re, y_im = self._complex(of_matrix, builder.add(matrix, builder.mul(place, stride)))
+                    d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
+                    d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
+                    following += builder.fadd(re, d_re), builder.fadd(im, d_im)
+            for i, (re, im) in enumerate(zip(sums[::2], sums[1::2], strict=True)):
                 row = builder.add(result, builder.mul(builder.add(first_row, _WHOLE(i)), result_stride))
-                first = self._pointer(self.scratch, row)
-                lanes.store(re, first)
-                lanes.store(im, self._at(first, 1))
+                self._store_complex(self._pointer(self.scratch, row), re, im)
 
         pairs = builder.sdiv(n_results, _WHOLE(_ROWS_AT_ONCE))
         with repeated(builder, pairs) as pair:
@@ -282,22 +267,16 @@ class BackWriter(TapedWriter):
         builder, lanes = self.builder, self.lanes
         n = self._head(entry, 0)
         matrix, stride, vector, vector_stride, result, result_stride = self._places(entry, range(6))
-
         with repeated(builder, n) as i:
-            bar = self._pointer(self.scratch, builder.add(result, builder.mul(i, result_stride)))
-            re, im = lanes.load(bar), lanes.load(self._at(bar, 1))
-            lanes.store(lanes.constant(0.0), bar)
-            lanes.store(lanes.constant(0.0), self._at(bar, 1))
+            bar, re, im = self._complex(self.scratch, builder.add(result, builder.mul(i, result_stride)))
+            self._store_complex(bar, lanes.constant(0.0), lanes.constant(0.0))
             with repeated(builder, n) as j:
                 place = builder.add(builder.mul(i, n), j)
-                y = self._pointer(self.matrices, builder.add(matrix, builder.mul(place, stride)))
-                y_re, y_im = lanes.load(y), lanes.load(self._at(y, 1))
-                e = self._pointer(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
-                to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, lanes.load(e)))
-                to_im = lanes.call("fma", y_re, im, lanes.load(self._at(e, 1)))
-                to_im = builder.fsub(to_im, builder.fmul(y_im, re))
-                lanes.store(to_re, e)
-                lanes.store(to_im, self._at(e, 1))
+                _, y_re, y_im = self._complex(self.matrices, builder.add(matrix, builder.mul(place, stride)))
+                e, e_re, e_im = self._complex(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
+                to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, e_re))
+                to_im = builder.fsub(lanes.call("fma", y_re, im, e_im), builder.fmul(y_im, re))
+                self._store_complex(e, to_re, to_im)
 
 
 class BackWithoutConstants(BackWriter):
