@@ -20,10 +20,11 @@ from torch import Tensor
 
 from agents import run as runs
 from agents.gradient import GradientPolicy, descend
-from agents.planner import Floats, Planner, PlannerOptions, drive
+from agents.planner import Planner, PlannerOptions, drive
 from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import design
 
@@ -67,16 +68,16 @@ class Plans:
         """Take the plans that :meth:`state_dict` returned."""
         vars(self).update(state)
 
-    def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, ...]:
         """Return some episodes of all rounds, drawn with replacement, as many of one round as of another."""
-        rounds = zip(self.observations, self.actions, self.counts, strict=True)
         chosen = [rng.integers(each.shape[1], size=-(-size // len(self.counts))) for each in self.counts]
-        parts = [[column[:, at] for column in columns] for columns, at in zip(rounds, chosen, strict=True)]
-        observations, actions, counts = (torch.cat(columns, dim=1) for columns in zip(*parts, strict=True))
-        return observations, actions, counts
+        return tuple(
+            torch.cat([each[:, at] for each, at in zip(column, chosen, strict=True)], dim=1)
+            for column in (self.observations, self.actions, self.counts)
+        )
 
 
-class DaggerLearner(runs.SavedParts):
+class DaggerLearner(runs.Learner):
     """A policy and the plans that it is fitted to."""
 
     def __init__(self, policy: GradientPolicy) -> None:

@@ -16,7 +16,6 @@ from typing import Annotated
 
 import cma
 import numpy as np
-import numpy.typing as npt
 import onnx
 import torch
 from cyclopts import Parameter
@@ -29,12 +28,12 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
 from wtg_gym.files import read_bytes
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies.entry_folder import POLICY_FILE, load_entry_folder
 from wtg_gym.policies.torch_export import largest_difference
 from wtg_gym.ranges import Checked, design
 
-Floats = npt.NDArray[np.float64]
 Folders = Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative="")]
 _STATE = "state.pickle"
 #: Generations over which the weights are averaged: each pulls towards its own scenarios.
@@ -71,8 +70,7 @@ class Hyperparameters(Checked):
 def read_policy(folder: Path, settings: RunSettings) -> GradientPolicy:
     """Return the network of a policy that agents.dagger, agents.gradient or this has made for every group alike.
 
-    A ValueError says that it is another one, or acts on another law or in another mode than the settings say; one that
-    acts on k may go on with k and τ.
+    A ValueError says why it is none for these settings; one that acts on k may go on with k and τ.
     """
     entry = load_entry_folder(folder)
     for name in ("action_mode", "observation_mode", "strategy"):
@@ -168,10 +166,7 @@ class Population:
         self._shape, self._reliability = (n_candidates, n_scenarios), reliability
 
     def objectives(self, policy: EvolvedPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
-        """Return what each candidate should lower, in hundreds of points, mean over the scenarios (n_candidates,).
-
-        Candidates are weights of the last layer, then its biases (n_candidates, n).
-        """
+        """Return what each candidate, weights and then biases of the last layer, should lower [100 points] (n,)."""
         batch, (n, n_scenarios), last = self.batch, self._shape, policy.last
         for candidate in range(n):
             first = candidate * n_scenarios
@@ -228,14 +223,14 @@ class Search:
         return np.array(self._search.result.xfavorite)
 
 
-class EvolutionLearner:
+class EvolutionLearner(runs.Learner):
     """A policy and the search for its last layer; `make` is called for a new run alone."""
 
     def __init__(self, make: Callable[[], EvolvedPolicy], seed: int, h: Hyperparameters) -> None:
         self._make, self._seed, self._h = make, seed, h
 
     @cached_property
-    def network(self) -> EvolvedPolicy:
+    def network(self) -> EvolvedPolicy:  # type: ignore[override]
         """The policy."""
         network = self._make()
         network.per_group = True
@@ -259,11 +254,9 @@ class EvolutionLearner:
         nn.utils.vector_to_parameters(torch.from_numpy(self.average).float(), self.network.last.parameters())
 
     def save(self, folder: Path) -> None:
-        """Write everything that training goes on from into an empty folder."""
         (folder / _STATE).write_bytes(pickle.dumps((self.network, self.average, self.search)))
 
     def load(self, folder: Path) -> None:
-        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with runs.loading(folder) as folder:
             self.network, self.average, self.search = pickle.loads((folder / _STATE).read_bytes())
 

@@ -60,10 +60,7 @@ class Hyperparameters(Checked):
 
 
 class GradientPolicy(nn.Module):
-    """An LSTM, if its width is not zero, then tanh layers to the actions; one layer alone is linear up to its tanh.
-
-    It looks at the first `n_observation` entries of an observation.
-    """
+    """An LSTM, if its width is not zero, then tanh layers, from the first entries of an observation to the actions."""
 
     def __init__(self, n_observation: int, n_action: int, hidden: Sequence[int] = (), lstm: int = 0) -> None:
         super().__init__()
@@ -79,7 +76,6 @@ class GradientPolicy(nn.Module):
             nn.init.zeros_(layer.bias)
         # Tanh at the end too: a clipped action would have no gradient to come back by.
         self.layers = nn.Sequential(*(module for layer in layers for module in (layer, nn.Tanh())))
-
         #: Widths of the states: hidden and cell of the LSTM.
         self.state_widths = (lstm, lstm) if lstm else ()
 
@@ -196,7 +192,7 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, m
     return loss.item()
 
 
-class GradientLearner(runs.SavedParts):
+class GradientLearner(runs.Learner):
     """A policy, its average and its optimiser."""
 
     def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
@@ -204,7 +200,7 @@ class GradientLearner(runs.SavedParts):
         #: Every update pulls towards its own scenarios; their average does not.
         mean: Callable[..., None] = get_ema_multi_avg_fn(1.0 - 1.0 / h.averaged)  # type: ignore[no-untyped-call]
         self.average = AveragedModel(policy, multi_avg_fn=mean)
-        self.network: nn.Module = self.average.module
+        self.network = self.average.module
         self.optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
         self.parts = {"policy": policy, "average": self.average, "optimizer": self.optimizer}
 

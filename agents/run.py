@@ -18,7 +18,7 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -50,27 +50,10 @@ _PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "sb3-contrib", 
 _TOLERANCE = 1e-4
 
 
-class Learner(Protocol):
-    """What is trained."""
+class Learner:
+    """What is trained; it saves and loads its `parts` by their state dictionaries."""
 
-    @property
-    def network(self) -> nn.Module:
-        """The deterministic policy for the environment of its run, in the form of `wtg_gym.export_onnx`."""
-
-    def save(self, folder: Path) -> object:
-        """Write everything that training goes on from into an empty folder."""
-
-
-class RoundLearner(Learner, Protocol):
-    """A learner that learns in rounds."""
-
-    def load(self, folder: Path) -> None:
-        """Go back to what was saved; a ValueError names a folder that is damaged."""
-
-
-class SavedParts:
-    """The part of a learner that saves and loads its `parts` by their state dictionaries."""
-
+    network: nn.Module  # the deterministic policy, in the form of `wtg_gym.export_onnx`
     parts: Mapping[str, Any]
 
     def save(self, folder: Path) -> None:
@@ -148,10 +131,7 @@ class RunSettings(SharedSettings):
         return self.interval or max(1, self.timesteps // 20)
 
     def entry(self, name: str = "", description: str = "") -> dict[str, Any]:
-        """Return the keys and values of entry.toml for the run's policy; a ValueError if its name would be refused.
-
-        Without name or description they are made of algorithm and action mode.
-        """
+        """Return the keys and values of entry.toml for the run's policy; a ValueError if its name would be refused."""
         values: dict[str, Any] = {
             "name": name or f"{self.algo} {self.action_mode}",
             "description": description or f"Trained with {self.algo}.",
@@ -178,11 +158,9 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -> None:
-    """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
-
-    It gets its name when it is complete, so that a complete one remains after a kill at any moment; only the user can
-    enter it. One of the same name is of the same step, and is kept.
-    """
+    """Write a folder that is named after a number of timesteps, then remove the older ones beside it."""
+    # It gets its name when it is complete, so that a complete one remains after a kill at any moment; only the user can
+    # enter it. One of the same name is of the same step, and is kept.
     target = parent / f"{timesteps:012d}"
     if not target.exists():
         parent.mkdir(parents=True, exist_ok=True)
@@ -203,11 +181,9 @@ def folders(parent: Path) -> list[Path]:
 
 @contextlib.contextmanager
 def loading(path: Path) -> Iterator[Path]:
-    """Return a folder to load from, and turn any error meanwhile into a ValueError that names it.
-
-    Damaged pickles and archives raise errors of any kind. They also run code, so a file or folder that
-    another user could have written is refused.
-    """
+    """Return a folder to load from, and turn any error meanwhile into a ValueError that names it."""
+    # Damaged pickles and archives raise errors of any kind. They also run code: what another user could have written is
+    # refused.
     try:
         yield trusted_files(path)
     except Exception as error:
@@ -228,11 +204,6 @@ class Run(Checked):
     resumptions: list[Mapping[str, Any]] = field(default_factory=list)
     finished: bool = False  # whether all timesteps are done
     _began: float = field(default=0.0, init=False, repr=False)
-
-    def hyperparameters(self, record: type[H]) -> H:
-        """Return the hyperparameters as a record; a ValueError names the run's file and the one that is wrong."""
-        with interpreting(self.folder / RUN_FILE, "description of the run"):
-            return record(**self.settings.hyperparameters)
 
     @classmethod
     def new(cls, folder: Path, settings: RunSettings) -> "Run":
@@ -269,25 +240,19 @@ class Run(Checked):
         saved = folders(self.folder / CHECKPOINTS)
         if not saved:
             if self.curve:
-                raise ValueError(
-                    f"{self.folder} has validations, but no checkpoint to go on from; begin anew elsewhere"
-                )
+                raise ValueError(f"{self.folder} has validations, but no checkpoint to go on from; begin anew")
             return None
         run = Run.read(saved[-1])
         step = run.curve[-1]["timesteps"] if run.curve else None
         is_same = run.settings == self.settings and run.provenance["started"] == self.provenance["started"]
         if not is_same or step != int(saved[-1].name):
-            raise ValueError(
-                f"{saved[-1]} is a checkpoint of another run or of step {step}; begin anew in another folder"
-            )
+            raise ValueError(f"{saved[-1]} is a checkpoint of another run or of step {step}; begin anew elsewhere")
         return saved[-1]
 
     def begin(self, learner: Learner) -> None:
-        """Write run.json before the first step, so that the run can go on whenever it is interrupted.
-
-        A ValueError says that the policy could not be exported, which is better known now than in the end.
-        """
+        """Write run.json before the first step, so that the run can go on whenever it is interrupted."""
         if not self.curve:
+            # That it cannot be exported is better known now than in the end.
             _exported(learner, self.settings)
         self.write()
         s, done = self.settings, f"from step {self.curve[-1]['timesteps']}, " if self.curve else ""
@@ -436,11 +401,7 @@ def run_command(
 def begin_or_go_on(
     options: RunOptions, algos: Container[str], settings: Callable[[], RunSettings], train: Callable[[Run], None]
 ) -> None:
-    """Train in the folder that the options name, which is held meanwhile, and say how it ended.
-
-    `algos` are what the command trains, and `settings` returns those of a new run. A ValueError says why the folder
-    cannot be used.
-    """
+    """Train one of some `algos` in the folder that the options name; `settings` returns those of a new run."""
     if options.resume is not None:
         folder, algo = options.resume, Run.read(options.resume).settings.algo
         if algo not in algos:
@@ -472,7 +433,7 @@ def require_local(settings: RunSettings) -> None:
 class Rounds(NamedTuple):
     """A learner and the rounds of equally many steps in which it learns."""
 
-    learner: RoundLearner
+    learner: Learner
     batch: EnvBatch  # whose training scenarios it learns from
     timesteps: int  # of a round
     #: Learns from the scenarios of a round, its generator, its index, and how many rounds there are; returns the loss.
@@ -494,7 +455,9 @@ def main_in_rounds(
         # Sums over several threads depend on which of them ends first.
         torch.set_num_threads(1)
         torch.manual_seed(settings.seed)
-        learner, batch, timesteps, learn = rounds(settings, run.hyperparameters(record))
+        with interpreting(run.folder / RUN_FILE, "description of the run"):
+            hyperparameters = record(**settings.hyperparameters)
+        learner, batch, timesteps, learn = rounds(settings, hyperparameters)
         n_rounds, first = -(-settings.timesteps // timesteps), 0
         if saved := run.checkpoint:
             first = int(saved.name) // timesteps

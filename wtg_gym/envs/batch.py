@@ -62,10 +62,7 @@ class PreparedEpisodes(NamedTuple):
 
 
 class EnvBatch:
-    """Episodes of an environment side by side: scenarios, simulator, observations and costs.
-
-    `n_threads` step them, None for one per processor. A ValueError says that a setting is unknown or out of range.
-    """
+    """Episodes of an environment side by side, which `n_threads` step, None for one per processor."""
 
     def __init__(self, settings: EnvSettings, num_envs: int = 1, n_threads: int | None = None) -> None:
         self.settings = settings
@@ -158,11 +155,8 @@ class EnvBatch:
         allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
         step_s = self.simulator.settings.simulation_dt
         if episode.ACTION_MODES[self.settings.action_mode][1] and step_s > allowed:
-            raise ValueError(
-                f"simulation_dt = {step_s:g} s is too long for the damping time constant of "
-                f"{ratio / fastest:g} s, which actions make {1.0 / fastest:g} s; "
-                f"allowed: at most {allowed:.3g} s"
-            )
+            what = f"the damping time constant of {ratio / fastest:g} s, which actions make {1.0 / fastest:g} s"
+            raise ValueError(f"simulation_dt = {step_s:g} s is too long for {what}; allowed: at most {allowed:.3g} s")
 
     def _check_draws(self) -> None:
         """Refuse settings under which drawn scenarios do not fit, here rather than at some reset."""
@@ -190,7 +184,6 @@ class EnvBatch:
         """Return the suite's scenarios of seeds, for this plant and episode length."""
         return self.suite.scenarios(
             seeds,
-            n_wtg=self.n_wtg,
             n_turbines=self.n_turbines,
             duration_s=self.duration_s,
             sensors=self.settings.sensor_distribution,
@@ -209,8 +202,7 @@ class EnvBatch:
     def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
         """Find the equilibria that episodes of scenarios start from; no running environment is touched.
 
-        `turning`, for scenarios given by the user, refuses a rotor that would start below the under-speed trip. A
-        ValueError says that a scenario does not fit the plant or the episode length, or has no such equilibrium.
+        `turning`, for scenarios given by the user, refuses a rotor that would start below the under-speed trip.
         """
         try:
             prepared = self.simulator.prepare(scenarios, self.laws, turning=turning)
@@ -219,9 +211,9 @@ class EnvBatch:
                 advice = "`wtg-gym grid check` says how many of its scenarios start"
                 raise StartError(f"{error}; {advice}") from error
             raise
-        durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
         step_s, plant = self.settings.step_s, self.settings.resolved_plant
-        n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in durations])
+        ends_s = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
+        n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in ends_s])
         outputs = self._start_tasks(prepared, scenarios, n_steps)
         if self.settings.scores:
             self._play_reference(scenarios, outputs.reference)
@@ -245,11 +237,7 @@ class EnvBatch:
             self._references[at_once].play_costs(costs[first : first + len(part)])
 
     def first_to_start(self, env: int, prepare_next: Callable[[], Started]) -> Started:
-        """Return what an environment's next episodes give, one after the other, until one can start.
-
-        Those that cannot are counted. A ValueError says that the environment's one scenario does not start, or none of
-        many drawn ones.
-        """
+        """Return what the first of an environment's next episodes that can start gives; the others are counted."""
         refusal: Exception | None = None
         for _ in range(_MOST_DRAWS):
             try:
@@ -356,10 +344,8 @@ class EnvBatch:
         where there are several, and prepares `n_prepared` episodes. A ValueError says that an action is not finite;
         nothing has been stepped then.
         """
-        simulator = self.simulator
-        if self._bound is None:
-            self._bind()
-        bound, alone = self._bound, simulator.threads.n_blocks == 1
+        simulator, bound = self.simulator, self._bound or self._bind()
+        alone = simulator.threads.n_blocks == 1
         if alone:
             invalid = step_blocks(bound, actions, 0, 1, 0, False)
         else:
@@ -379,22 +365,16 @@ class EnvBatch:
 
     @undivided
     def play_costs(self, costs: Floats) -> None:
-        """Play episodes that have just been started without actions; write their costs up to each control step.
-
-        `costs` are (num_envs, n_steps + 1), of the first environments.
-        """
-        if self._bound is None:
-            self._bind()
-        bound, actions = self._bound, np.zeros((self.num_envs, self.n_action))
+        """Play episodes just started without actions; write the first ones' costs up to each step (n, n_steps + 1)."""
+        bound, actions = self._bound or self._bind(), np.zeros((self.num_envs, self.n_action))
         self.simulator.threads.run(lambda first, last, worker: play_costs(bound, actions, costs, first, last, worker))
 
     @undivided
-    def _bind(self) -> None:
+    def _bind(self) -> Any:
         # numba would turn the exception of a signal handler into a SystemError.
-        simulator = self.simulator
-        self._bound = bind(
-            simulator.blocks, simulator.scratches, simulator.plant.network, simulator.data, self.task_data, self.outputs
-        )
+        s = self.simulator
+        self._bound = bind(s.blocks, s.scratches, s.plant.network, s.data, self.task_data, self.outputs)
+        return self._bound
 
     def statuses(self) -> npt.NDArray[np.int64]:
         """Return why each environment ended (:class:`Status`), RUNNING (0) where it did not or its time was over."""

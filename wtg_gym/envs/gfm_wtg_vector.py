@@ -160,7 +160,10 @@ class GFMWTGVectorEnv(
         # Given scenarios that cannot start are refused before the first change.
         episodes = None
         if "scenarios" in checked:
-            scenarios = self._scenarios(checked["scenarios"])
+            given = checked["scenarios"]
+            if not isinstance(given, Sequence) or len(given) != self.num_envs:
+                raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {given!r:.80}')
+            scenarios = [self._batch.scenario_of('options["scenarios"]', scenario) for scenario in given]
             episodes = self._batch.prepare([scenarios[env] for env in envs], turning=True)
         generators = {env: seeding.np_random(s)[0] for env in envs if (s := seeds[env]) is not None}
         self._next.reseed(generators)
@@ -182,11 +185,6 @@ class GFMWTGVectorEnv(
                 f"got shape {mask.shape}, dtype {mask.dtype}: {option!r:.80}"
             )
         return mask
-
-    def _scenarios(self, option: Any) -> list[Scenario]:
-        if not isinstance(option, Sequence) or len(option) != self.num_envs:
-            raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {option!r:.80}')
-        return [self._batch.scenario_of('options["scenarios"]', scenario) for scenario in option]
 
     def _env_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         seeds: Sequence[int | None]
@@ -250,10 +248,8 @@ class GFMWTGVectorEnv(
 
     def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """Every key of `info` as an array, and as `_key` the environments that it holds for: one array for all keys."""
-        infos: dict[str, Any] = {}
-        for key, array in self._batch.info_arrays().items():
-            infos[key], infos[f"_{key}"] = array, mask
-        return infos
+        arrays = self._batch.info_arrays()
+        return {**arrays, **{f"_{key}": mask for key in arrays}}
 
     def render(self) -> tuple[rendering.Frame, ...] | None:
         """Draw every episode up to now: a frame (540, 960, 3) uint8 per environment.

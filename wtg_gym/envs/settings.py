@@ -1,7 +1,7 @@
 """The arguments of an environment, checked once for the single and the vector environment."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike, fspath
 from typing import Any
@@ -203,7 +203,7 @@ class EnvSettings:
         if not isinstance(self.sensors, Mapping):
             near = did_you_mean(self.sensors, ["exact"])
             raise ValueError(f'sensors must be "exact" or a dictionary of names and values, got {self.sensors!r}{near}')
-        return (of_suite or draws.SensorDistribution()).replaced(self.sensors)
+        return replace(of_suite or draws.SensorDistribution(), **{str(name): v for name, v in self.sensors.items()})
 
     def cost_weights(self) -> CostWeights:
         """Return the weights in force; a ValueError names unknown ones."""

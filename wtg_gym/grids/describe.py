@@ -117,10 +117,7 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
 
 
 def describe_starts(suite: str) -> Iterator[Line]:
-    """Yield how many scenarios of a suite or its file start, why others do not, and what reset and step take.
-
-    A ValueError says that too few of them start to train on.
-    """
+    """Yield how many scenarios of a suite start, why others do not, and what reset and step take; refuse too few."""
     # Whether a scenario starts does not depend on what its rewards are compared with, which takes most of a reset.
     batch = EnvBatch(EnvSettings(suite=suite, reward="cost"))
     seeds = range(batch.suite.seeds("train").start, batch.suite.seeds("train").start + TRIED)

@@ -30,10 +30,9 @@ def read_case(
 ) -> Grid:
     """Return the grid of a case, without WTG groups; its wind parks are machines marked as replaced.
 
-    The ending of `path` says which format it has; `dynamic` is a DYR file with the machines of a RAW file. The nominal
-    frequency is that of the file, or a usual one, where none is given. Types of element in `drop` are left out. To
-    `substitute` puts typical controls in the place of models that are not here, or leaves those out. A ValueError says
-    where a file is missing or damaged, has what a grid has not, or the grid's power flow is not the library's.
+    The ending of `path` says which format it has; `dynamic` is a DYR file with the machines of a RAW file. Types of
+    element in `drop` are left out. To `substitute` puts typical controls in the place of models that are not here. A
+    ValueError says where a file is missing or damaged, or what in it a grid has not.
     """
     for file in (path, dynamic):
         if file is not None and not file.is_file():
@@ -77,13 +76,10 @@ def with_wind(grid: Grid, buses: Sequence[int] = ()) -> Grid:
                 taken_mw += dispatch_mw[bus]
         chosen = chosen or [slack]
     replaced = tuple(bus for bus in chosen if bus != slack)
-    left = [machine for machine in case.machines if machine.bus not in replaced and machine.governor is not None]
-    if not left:
+    if not any(machine.governor is not None and machine.bus not in replaced for machine in case.machines):
         raise ValueError("a machine with a governor has to stay")
     dispatch_mw[slack] *= SHARE
     turbine_mw = TurbineParameters().rated_power_mw
     sizes = {bus: max(1.0, round(OVER * dispatch_mw[bus] / turbine_mw)) for bus in chosen}
-    groups = tuple(
-        solved_case.made(f"turbines at bus {bus}", WtgGroup, bus=bus, n_turbines=size) for bus, size in sizes.items()
-    )
-    return replace(grid, groups=groups, replaced=replaced)
+    groups = [solved_case.made(f"turbines at bus {bus}", WtgGroup, bus=bus, n_turbines=n) for bus, n in sizes.items()]
+    return replace(grid, groups=tuple(groups), replaced=replaced)

@@ -100,9 +100,7 @@ def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], n
 def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) -> Grid:
     """Return the grid of a solved case, without WTG groups, after its own power flow has met the library's.
 
-    The case is changed. Its wind parks are typical machines, marked as replaced; without `dynamics` all machines are
-    typical. Types of element in `drop` are left out. A ValueError says by the bus and both values that the grid is
-    not the case, or that a value is out of its range.
+    The case is changed. Its wind parks are typical machines, marked as replaced; without `dynamics` all machines are.
     """
     _merge_buses(case)
     _take_connected(case, drop)
@@ -169,13 +167,11 @@ def _take_connected(case: SolvedCase, drop: Collection[str]) -> None:
     import networkx
 
     powers = dict.fromkeys(case.voltages, 0.0)
-    for bus, load in case.loads.items():
-        powers[bus] += abs(load.real)
-    for infeed in case.infeeds:
-        powers[infeed.bus] += abs(infeed.power.real)
+    for bus, power in (*case.loads.items(), *((infeed.bus, infeed.power) for infeed in case.infeeds)):
+        powers[bus] += abs(power.real)
     parts = list(networkx.connected_components(_graph(case)))
     (connected,) = (part for part in parts if case.slack in part)
-    live = [power for part in parts if part is not connected and (power := sum(powers[bus] for bus in part))]
+    live = [mw for part in parts if part is not connected and (mw := sum(powers[bus] for bus in part))]
     refuse_unread({"island": (len(live), sum(live))}, drop, case.notes)
     apart = [key for key in case.voltages if key not in connected]
     if apart and not live:
@@ -230,7 +226,7 @@ def _numbers(case: SolvedCase) -> dict[Key, int]:
 def _machines(
     case: SolvedCase, numbers: dict[Key, int], dynamics: Any
 ) -> list[machine_parameters.SynchronousMachineParameters]:
-    records = list[machine_parameters.SynchronousMachineParameters]()
+    records: list[machine_parameters.SynchronousMachineParameters] = []
     buses = {infeed.bus for infeed in case.infeeds if infeed.role == "machine"}
     for infeed in case.infeeds:
         number, slack, record = numbers[infeed.bus], infeed.bus == case.slack, None

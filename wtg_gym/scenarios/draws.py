@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -11,7 +11,7 @@ from wtg_gym.physics import grid, scenario
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
 from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
-from wtg_gym.ranges import Checked, design, require_known, require_range, required
+from wtg_gym.ranges import Checked, design, require_range, required
 from wtg_gym.scenarios import wind
 
 Line = tuple[int, int]
@@ -102,11 +102,7 @@ class Draft:
 
 @dataclass(frozen=True, kw_only=True)
 class Record(Checked):
-    """A part of what scenarios are drawn from; a pair of numbers is the range of a uniform distribution.
-
-    The unit, the allowed range and the meaning of every value are its field's metadata. A ValueError names a value
-    outside its allowed range, its unit and the range.
-    """
+    """A part of what scenarios are drawn from; a pair of numbers is the range of a uniform distribution."""
 
     def check(self, case: grid.NetworkCase, records: "Sequence[Record]") -> None:
         """Refuse with a ValueError what does not fit the network with its groups, or the other records."""
@@ -464,10 +460,7 @@ class UnitCommitment(Record):
         draft.machine_loading = pick.between(self.loading)
 
     def committed(self, draft: Draft, first_winds: Sequence[float]) -> float:
-        """Return the share of the generator's units on line, for the load that the wind leaves on average and at first.
-
-        If all units are too few at the drawn loading, they are loaded more.
-        """
+        """Return the share of units on line, for the load that the wind leaves on average and at first; at most all."""
         assert draft.machine_loading is not None
         winds = (draft.mean_winds_m_s, first_winds)
         least = min(wind.share_of_load(speeds, draft.n_turbines, draft.load_mw) for speeds in winds)
@@ -508,21 +501,13 @@ class SensorDistribution(Checked):
         # Checks the values that are the same in every scenario.
         Sensors(**{**vars(self), "seed": 0, "delay_s": 0.0, "wind_bias": (0.0,)})
 
-    def replaced(self, changes: Mapping[str, Any]) -> "SensorDistribution":
-        """Return the distribution with some of its values replaced; a ValueError lists the known names."""
-        require_known("values of the sensors", changes, [field.name for field in fields(self)])
-        return replace(self, **changes)
-
     def delays_s(self) -> list[float]:
         """Return every delay that may be drawn [s]."""
         shortest, longest = (round(delay / DELAY_STEP_S) for delay in self.delay_s)
         return [round(DELAY_STEP_S * steps, 9) for steps in range(shortest, longest + 1)]
 
     def draw_many(self, name: str, seeds: Sequence[int], n_wtg: int) -> list[Sensors]:
-        """Draw the sensors of several seeds; `name` is that of the scenarios' distribution.
-
-        What is drawn scales with the distribution: with twice the `wind_bias`, every bias is twice as large.
-        """
+        """Draw the sensors of seeds; `name` is that of the scenarios' distribution. Biases scale with `wind_bias`."""
         streams = seed_streams(seeds, zlib.crc32(f"{name}/sensors".encode()))
         uniform = np.array([stream.random(2 + 12 * n_wtg) for stream in streams]).reshape(len(seeds), 2 + 12 * n_wtg)
         delays = self.delays_s()

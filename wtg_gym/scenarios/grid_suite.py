@@ -146,10 +146,7 @@ def _read(path: Path, text: str) -> GridSuite:
 
 
 def unscreened(grid: str) -> GridSuite:
-    """Return a suite of a grid, a name or a file, with every event that does not take its network apart.
-
-    A ValueError says that it has no load, or the machines that stay cannot give what the wind leaves.
-    """
+    """Return a suite of a grid, a name or a file, with every event that does not take its network apart."""
     data = get_grid(grid)
     if data.case.load_mw <= 0.0:
         raise ValueError(f"the loads of grid {grid!r} take {data.case.load_mw:.6g} MW together; a suite needs some")

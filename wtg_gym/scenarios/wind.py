@@ -59,10 +59,7 @@ def kaimal_spectrum(frequency_hz: Floats, mean_wind_m_s: float, sigma_m_s: float
 
 
 def coherence_decay(frequency_hz: Floats, mean_wind_m_s: float) -> Floats:
-    """Return a = 12 sqrt((f/U)² + (0.12/L_c)²) of the coherence exp(-a r) over the distance r [1/m].
-
-    Source: IEC 61400-1 ed. 3, annex B, eq. B.16.
-    """
+    """Return a = 12 sqrt((f/U)² + (0.12/L_c)²) of the coherence exp(-a r) over r [1/m] (annex B, eq. B.16)."""
     return 12.0 * np.hypot(frequency_hz / mean_wind_m_s, 0.12 / LENGTH_SCALE_M)
 
 
@@ -98,10 +95,8 @@ def group_filter(frequency_hz: Floats, mean_wind_m_s: float, n_turbines: float) 
 
 
 def period_length(n_samples: int) -> int:
-    """Return the number of samples of the period that a synthesised series is cut from.
-
-    Twice the series at least, because one as long as its period would end where it began; of a quick transform.
-    """
+    """Return the number of samples of the period that a synthesised series is cut from, of a quick transform."""
+    # Twice the series at least: one as long as its period would end where it began.
     length: int = 2 * next_fast_len(n_samples, real=True)
     return length
 
@@ -125,10 +120,8 @@ def spectrum_amplitude(spectrum: Floats, n_period: int) -> Floats:
 
 @lru_cache(maxsize=4096)
 def turbulence_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> Floats:
-    """Return the scale of the coefficients of rotor-effective, group-averaged turbulence, of 1 m/s at a point.
-
-    The mean wind is a whole number of tenths [0.1 m/s], so that the spectrum is worked out for few of them.
-    """
+    """Return the scale of the coefficients of rotor-effective, group-averaged turbulence, of 1 m/s at a point."""
+    # Of tenths, so that the spectrum is worked out for few of them.
     mean = 0.1 * mean_tenth_m_s
     frequency = resolved_frequencies(n_period)
     spectrum = kaimal_spectrum(frequency, mean, 1.0)

@@ -1,4 +1,4 @@
-"""`python -m agents.shipped`: how the shipped policies were trained, as table and picture of docs/agents.md."""
+"""`python -m docs.studies.trainings`: how the shipped policies were trained, as table and picture of docs/agents.md."""
 
 import functools
 import re
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: One record per folder of agents/policies that a command of `agents` trained.
-RECORDS = Path(__file__).with_suffix(".json")
-PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
+PAGE = Path(__file__).parents[1] / "agents.md"
+RECORDS = PAGE.parents[1] / "agents" / "shipped.json"
 PICTURE = PAGE.parent / "images" / "training"
 _OUTPUT = re.compile(r"(?<= --output )\S+")
 #: What differs between the commands of several seeds.
@@ -118,7 +118,7 @@ def command(*runs: Path) -> None:
     note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
 
 
-main = functools.partial(run_command, command, "agents.shipped", "run it again")
+main = functools.partial(run_command, command, "docs.studies.trainings", "run it again")
 
 if __name__ == "__main__":
     sys.exit(main())
