@@ -8,7 +8,7 @@ generation has other scenarios.
 
 import pickle
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -223,16 +223,32 @@ class Search:
         return np.array(self._search.result.xfavorite)
 
 
-class EvolutionLearner(runs.Learner):
-    """A policy and the search for its last layer; `make` is called for a new run alone."""
+class EvolutionLearner(runs.RoundLearner):
+    """A policy and the search for its last layer; policies to start from are read for a new run alone."""
 
-    def __init__(self, make: Callable[[], EvolvedPolicy], seed: int, h: Hyperparameters) -> None:
-        self._make, self._seed, self._h = make, seed, h
+    def __init__(self, settings: RunSettings, h: Hyperparameters) -> None:
+        runs.require_local(settings)
+        if h.start and (h.hidden or h.lstm):
+            raise ValueError("--start brings its own layers; leave out --hidden and --lstm")
+        self._settings, self._h = settings, h
+        environment = EnvSettings(**settings.env_arguments)
+        self._population = Population(environment, settings.n_envs, h.population, h.reliability)
+        self.batch = self._population.batch
+        self.timesteps = self.batch.n_steps_of_episode * self.batch.num_envs
 
     @cached_property
     def network(self) -> EvolvedPolicy:  # type: ignore[override]
         """The policy."""
-        network = self._make()
+        batch, h = self.batch, self._h
+        n_observation, n_action = batch.n_observation // batch.n_wtg, batch.n_action // batch.n_wtg
+        policies = [read_policy(Path(folder), self._settings) for folder in h.start]
+        network: EvolvedPolicy
+        if not policies:
+            network = GradientPolicy(n_observation, n_action, h.hidden, h.lstm)
+        elif len(policies) == 1 and policies[0].last.out_features == n_action:
+            network = policies[0]
+        else:
+            network = JoinedPolicy(policies, n_action)
         network.per_group = True
         return network
 
@@ -245,7 +261,7 @@ class EvolutionLearner(runs.Learner):
     @cached_property
     def search(self) -> Search:
         """The search, which begins at the policy."""
-        return Search(self.average, self._h.spread, self._h.population, self._seed)
+        return Search(self.average, self._h.spread, self._h.population, self._settings.seed)
 
     def tell(self, candidates: Floats, objectives: Floats) -> None:
         """Learn what candidates are worth."""
@@ -260,39 +276,18 @@ class EvolutionLearner(runs.Learner):
         with runs.loading(folder) as folder:
             self.network, self.average, self.search = pickle.loads((folder / _STATE).read_bytes())
 
-
-def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
-    """Return the learner of a run, and its rounds."""
-    runs.require_local(settings)
-    if h.start and (h.hidden or h.lstm):
-        raise ValueError("--start brings its own layers; leave out --hidden and --lstm")
-    population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population, h.reliability)
-    batch = population.batch
-
-    def make() -> EvolvedPolicy:
-        n_action = batch.n_action // batch.n_wtg
-        if not h.start:
-            return GradientPolicy(batch.n_observation // batch.n_wtg, n_action, h.hidden, h.lstm)
-        policies = [read_policy(Path(folder), settings) for folder in h.start]
-        same = len(policies) == 1 and policies[0].last.out_features == n_action
-        return policies[0] if same else JoinedPolicy(policies, n_action)
-
-    learner = EvolutionLearner(make, settings.seed, h)
-
-    def learn(scenarios: Sequence[Scenario], _rng: np.random.Generator, index: int, n_generations: int) -> float:
-        candidates = learner.search.ask()
-        objectives = population.objectives(learner.network, candidates, scenarios)
-        learner.tell(candidates, objectives)
+    def learn(self, scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
+        candidates = self.search.ask()
+        objectives = self._population.objectives(self.network, candidates, scenarios)
+        self.tell(candidates, objectives)
         return float(objectives.mean())
-
-    return runs.Rounds(learner, batch, batch.n_steps_of_episode * settings.n_envs * h.population, learn)
 
 
 main = runs.main_in_rounds(
     "evolution",
     "Search the last layer of a policy by evolution, on the score itself.",
     Hyperparameters,
-    rounds,
+    EvolutionLearner,
     timesteps=32_400_000,
     n_envs=90,
 )

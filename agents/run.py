@@ -18,7 +18,7 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -430,20 +430,23 @@ def require_local(settings: RunSettings) -> None:
         raise ValueError("a policy for every group alike sees local observations: leave out --observation-mode")
 
 
-class Rounds(NamedTuple):
-    """A learner and the rounds of equally many steps in which it learns."""
+class RoundLearner(Learner):
+    """A learner that learns in rounds of equally many steps."""
 
-    learner: Learner
     batch: EnvBatch  # whose training scenarios it learns from
     timesteps: int  # of a round
-    #: Learns from the scenarios of a round, its generator, its index, and how many rounds there are; returns the loss.
-    learn: Callable[[list[scenario.Scenario], np.random.Generator, int, int], float]
+
+    def learn(
+        self, scenarios: Sequence[scenario.Scenario], rng: np.random.Generator, index: int, n_rounds: int
+    ) -> float:
+        """Learn from the scenarios of a round, the index-th of all, with its generator; return the loss."""
+        raise NotImplementedError
 
 
 def main_in_rounds(
-    name: str, what: str, record: type[H], rounds: Callable[[RunSettings, H], Rounds], **defaults: int
+    name: str, what: str, record: type[H], make: Callable[[RunSettings, H], RoundLearner], **defaults: int
 ) -> Callable[..., int]:
-    """Return the `main` of the command `agents.NAME`, which trains the algorithm of that name in rounds.
+    """Return the `main` of the command `agents.NAME`, which trains what `make` returns in rounds.
 
     `what` is its help, `record` its hyperparameters; `defaults` are `timesteps` and `n_envs`, scenarios of a round.
     """
@@ -457,20 +460,20 @@ def main_in_rounds(
         torch.manual_seed(settings.seed)
         with interpreting(run.folder / RUN_FILE, "description of the run"):
             hyperparameters = record(**settings.hyperparameters)
-        learner, batch, timesteps, learn = rounds(settings, hyperparameters)
-        n_rounds, first = -(-settings.timesteps // timesteps), 0
+        learner, first = make(settings, hyperparameters), 0
+        n_rounds = -(-settings.timesteps // learner.timesteps)
         if saved := run.checkpoint:
-            first = int(saved.name) // timesteps
+            first = int(saved.name) // learner.timesteps
             learner.load(saved)
         run.begin(learner)
         with Progress("rounds") as progress:
             for index in range(first, n_rounds):
-                run.take_stock(learner, index * timesteps)
+                run.take_stock(learner, index * learner.timesteps)
                 # Of its own, so that a resumed run draws what an undisturbed one would have drawn.
                 rng = np.random.default_rng((settings.seed, index))
-                value = learn(draw(batch, rng, settings.n_envs), rng, index, n_rounds)
+                value = learner.learn(draw(learner.batch, rng, settings.n_envs), rng, index, n_rounds)
                 progress.update(f"objective {value:.3f}, {run.title}", index + 1 - first, n_rounds - first)
-        run.take_stock(learner, n_rounds * timesteps, finished=True)
+        run.take_stock(learner, n_rounds * learner.timesteps, finished=True)
 
     def command(*, options: RunOptions = RunOptions(), h: Any = record()) -> None:  # noqa: B008
         begin_or_go_on(options, (name,), lambda: options.settings(name, dataclasses.asdict(h), **defaults), train)

@@ -10,6 +10,7 @@ from agents import planner as planning
 from agents.dagger import DaggerLearner, Hyperparameters, Plans, observe
 from agents.gradient import GradientPolicy
 from agents.planner import Futures, Planner, PlannerOptions, begun, drive, planned, without_foresight
+from agents.run import RunSettings
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import evaluate
@@ -108,8 +109,9 @@ def test_plans_of_a_group_that_is_gone_are_not_learned():
     observe(Planner(SHORT, 1, QUICK), batch, [drawn], plans, lambda plan: plan)
     (counts,) = plans.counts
     assert counts[:18].all() and not counts[20:, 0, 1].any() and counts[:, 0, [0, 2, 3]].all()
-    learner = DaggerLearner(GradientPolicy(6, 1, (4,), 4))
-    learner.plans, other = plans, DaggerLearner(GradientPolicy(6, 1, (4,), 4))
+    settings = RunSettings(algo="dagger", hyperparameters={}, timesteps=1, n_envs=1, action_mode="k")
+    learner, other = (DaggerLearner(settings, Hyperparameters(hidden=(4,), lstm=4)) for _ in range(2))
+    learner.plans = plans
     other.policy.load_state_dict(learner.policy.state_dict())
     other.plans.observations, other.plans.counts = plans.observations, plans.counts
     # Whatever was planned for it.

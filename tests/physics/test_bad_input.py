@@ -197,7 +197,7 @@ def drawn(*records: draws.Record, **settings) -> ScenarioDistribution:
 
 
 def sensors_of(**changes):
-    return lambda: SensorDistribution().replaced(changes)
+    return lambda: SensorDistribution(**changes)
 
 
 SUITES = [

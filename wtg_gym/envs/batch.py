@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import compress
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -93,8 +94,7 @@ class EnvBatch:
         self._references: dict[int, EnvBatch] = {}
         self._check_time_constants()
         self._check_draws()
-        acts = zip(("k", "tau"), episode.ACTION_MODES[settings.action_mode], strict=True)
-        modes = [name for name, is_acted in acts if is_acted]
+        modes = list(compress(("k", "tau"), episode.ACTION_MODES[settings.action_mode]))
         self.action_names = [f"wtg{group}.{name}" for group in range(self.n_wtg) for name in modes]
         self.n_action = len(self.action_names)
         self.outputs = self._new_outputs(num_envs)
@@ -207,10 +207,9 @@ class EnvBatch:
         try:
             prepared = self.simulator.prepare(scenarios, self.laws, turning=turning)
         except StartError as error:
-            if self.settings.draws_again:
-                advice = "`wtg-gym grid check` says how many of its scenarios start"
-                raise StartError(f"{error}; {advice}") from error
-            raise
+            if not self.settings.draws_again:
+                raise
+            raise StartError(f"{error}; `wtg-gym grid check` says how many of its scenarios start") from error
         step_s, plant = self.settings.step_s, self.settings.resolved_plant
         ends_s = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
         n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in ends_s])

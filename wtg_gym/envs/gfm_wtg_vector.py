@@ -212,17 +212,12 @@ class GFMWTGVectorEnv(
         thread is in this object.
         """
         waiting = np.logical_or(*self._batch.ended())
-        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._batch.started):
-            raise RuntimeError(
-                f"environments {np.flatnonzero(waiting).tolist()} have ended or were never started; call reset()"
-            )
         beginning = np.flatnonzero(waiting).tolist()
+        if beginning and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._batch.started):
+            raise RuntimeError(f"environments {beginning} have ended or were never started; call reset()")
         preparing = self._next.choose(beginning)
-        self._batch.step(
-            interface.as_actions(actions, (self.num_envs, self._batch.n_action)),
-            lambda: self._next.prepare(preparing),
-            len(preparing),
-        )
+        given = interface.as_actions(actions, (self.num_envs, self._batch.n_action))
+        self._batch.step(given, lambda: self._next.prepare(preparing), len(preparing))
         if self._step_limit is not None:
             self._batch.stop(~waiting & (self._batch.n_steps() >= self._step_limit))
         terminated, truncated = self._batch.ended()

@@ -238,9 +238,7 @@ class Wind(Record):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (total := self.gust_probability + self.ramp_probability) > 1.0:
-            raise ValueError(
-                f"gust_probability + ramp_probability = {total:g}, at most 1 is allowed: they exclude each other"
-            )
+            raise ValueError(f"gust_probability + ramp_probability = {total:g}; they exclude each other: at most 1")
 
     def draw(self, pick: Picker, draft: Draft) -> None:
         draft.turbulence_intensity = pick.between(self.turbulence_intensity)
@@ -292,11 +290,8 @@ class Wind(Record):
             return
         low, high = self.mean_m_s
         # A twentieth of the range at either end: that many draws at least must fit.
-        margin = 0.05 * (high - low)
-        least, most = (
-            wind.share_of_load([speed] * len(n_turbines), n_turbines, load_mw)
-            for speed in (low + margin, high - margin)
-        )
+        ends = low + 0.05 * (high - low), high - 0.05 * (high - low)
+        least, most = (wind.share_of_load([end] * len(n_turbines), n_turbines, load_mw) for end in ends)
         if most < self.penetration[0] or least > self.penetration[1]:
             raise ValueError(
                 f"these {sum(n_turbines):g} turbines give {100.0 * least:.0f} … {100.0 * most:.0f} % of a load of "

@@ -198,24 +198,21 @@ class Suite:
         for attempt in range(_MOST_ATTEMPTS):
             # Episodes shorter than the suite's may end before any event can leave so little: then the last draw counts.
             takes_any = attempt == _MOST_ATTEMPTS - 1 and duration_s < self.duration_s
+            suited = partial(self._suited, margins=margins, takes_any=takes_any)
             by_distribution: dict[str, list[int]] = {}
             for place in missing:
                 by_distribution.setdefault(self._distribution(seeds[place], attempt).name, []).append(place)
             for places in by_distribution.values():
                 of_seeds = [seeds[place] for place in places]
                 distribution = self._distribution(of_seeds[0], attempt)
-                suited = partial(self._suited, margins=margins, takes_any=takes_any)
                 drawn = distribution.draw_suited(of_seeds, len(n_turbines), n_turbines, duration_s, attempt, suited)
-                with_places = zip(places, drawn, strict=True)
-                accepted.update((place, scenario) for place, scenario in with_places if scenario is not None)
+                accepted.update({p: each for p, each in zip(places, drawn, strict=True) if each is not None})
             missing = [place for place in missing if place not in accepted]
             if not missing:
                 return [accepted[place] for place in range(len(seeds))]
-        seed = seeds[missing[0]]
-        raise ValueError(
-            f"suite {self.name!r}: none of {_MOST_ATTEMPTS} scenarios of seed {seed} has the reserve margin of its "
-            f"stratum {self.stratum(seed)!r}, {self.margins[self.stratum(seed)]}"
-        )
+        stratum = self.stratum(seeds[missing[0]])
+        what = f"suite {self.name!r}: none of {_MOST_ATTEMPTS} scenarios of seed {seeds[missing[0]]} has"
+        raise ValueError(f"{what} the reserve margin of its stratum {stratum!r}, {self.margins[stratum]}")
 
     def _suited(self, scenario: Scenario, margins: ReserveMargin, takes_any: bool) -> Scenario | None:
         """Return a drawn scenario with its margin, None where that is not one of its stratum and must be."""

@@ -205,9 +205,8 @@ def _parse(raw: bytes, duration_s: float | None) -> tuple[Floats, float]:
     except UnicodeDecodeError as error:
         line, bad = raw.count(b"\n", 0, error.start) + 1, raw[error.start]
         raise ValueError(f"line {line}: byte 0x{bad:02x} is not UTF-8; expected text: {_FORMAT}") from error
-    text = text.rstrip()
-    require_count("the table", text.count("\n"), _MOST_ROWS)
-    first, *lines = text.split("\n")
+    require_count("the table", text.rstrip().count("\n"), _MOST_ROWS)
+    first, *lines = text.rstrip().split("\n")
     require_count("line 1", first.count(",") + 1, MOST_GROUPS + 1)
     header = _cells(first)
     if header[0] != "time_s" or len(header) < 2:
@@ -222,10 +221,8 @@ def _parse(raw: bytes, duration_s: float | None) -> tuple[Floats, float]:
     duration_s = require_range("duration_s", duration_s, dt_s, 1e9, "s")
     n_samples = math.ceil(duration_s / dt_s - 1e-6) + 1
     if n_samples > len(lines):
-        raise ValueError(
-            f"line {len(lines) + 1}: the series ends after {(len(lines) - 1) * dt_s:g} s, "
-            f"at least {duration_s:g} s ({n_samples} rows of {dt_s:g} s) are needed"
-        )
+        what = f"line {len(lines) + 1}: the series ends after {(len(lines) - 1) * dt_s:g} s"
+        raise ValueError(f"{what}, at least {duration_s:g} s ({n_samples} rows of {dt_s:g} s) are needed")
     return wind[:, :n_samples].copy(), dt_s
 
 
