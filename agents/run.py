@@ -30,7 +30,8 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import Entry, circumstances, evaluate
 from wtg_gym.files import interpreting, one_line, read_json, to_json, trusted_files, write_atomically
-from wtg_gym.physics import scenario, tracking_law
+from wtg_gym.physics import tracking_law
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, check_not_built_in, entry_text
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 from wtg_gym.progress import Progress
@@ -343,7 +344,7 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
     }
 
 
-def draw(batch: EnvBatch, rng: np.random.Generator, n_scenarios: int) -> list[scenario.Scenario]:
+def draw(batch: EnvBatch, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
     """Return training scenarios; of strata their seeds follow one another: three hold one of each."""
     if not batch.suite.strata:
         return batch.draw([rng] * n_scenarios)
@@ -377,9 +378,7 @@ def note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def run_command(
-    command: Callable[..., None], name: str, after_interrupt: str, argv: Sequence[str] | None = None
-) -> int:
+def run_command(command: Callable[..., None], name: str, advice: str, argv: Sequence[str] | None = None) -> int:
     """Run `python -m NAME` with words, None for the command line's; return 0 fine, 2 bad input or 130 interrupted."""
     words = sys.argv[1:] if argv is None else list(argv)
     app = App(name=f"python -m {name}", help_format="plaintext", version_flags=(), suppress_keyboard_interrupt=False)
@@ -393,7 +392,7 @@ def run_command(
         note(f"error: {one_line(error)}")
         return 2
     except KeyboardInterrupt:
-        note(f"interrupted; {after_interrupt}")
+        note(f"interrupted; {advice}")
         return 130
     return 0
 
@@ -436,9 +435,7 @@ class RoundLearner(Learner):
     batch: EnvBatch  # whose training scenarios it learns from
     timesteps: int  # of a round
 
-    def learn(
-        self, scenarios: Sequence[scenario.Scenario], rng: np.random.Generator, index: int, n_rounds: int
-    ) -> float:
+    def learn(self, scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
         """Learn from the scenarios of a round, the index-th of all, with its generator; return the loss."""
         raise NotImplementedError
 

@@ -129,9 +129,8 @@ class GFMWTGVectorEnv(
         if not isinstance(autoreset_mode, AutoresetMode):
             require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.single_observation_space, self.single_action_space = self._open(
-            arguments, render_mode, num_envs, n_threads
-        )
+        spaces = self._open(arguments, render_mode, num_envs, n_threads)
+        self.single_observation_space, self.single_action_space = spaces
         self.num_envs = self._batch.num_envs
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -201,6 +201,4 @@ def check_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dic
 
 def warn_of_no_render_mode() -> None:
     """Warn that there is nothing to render with."""
-    gym.logger.warn(
-        'render() draws nothing, since the environment was made without a render_mode; give one, such as "rgb_array"'
-    )
+    gym.logger.warn('render() draws nothing: the environment was made without a render_mode, such as "rgb_array"')

@@ -482,9 +482,7 @@ class SensorDistribution(Checked):
     rocof_noise_hz_s: float = 0.05
     rotor_speed_noise_pu: float = 0.003
     power_noise_pu: float = 0.01
-    wind_bias: float = design(
-        0.01, "-", "standard deviation of each group's; none is larger than 2.5 times this", 0.0, 0.2
-    )
+    wind_bias: float = design(0.01, "-", "standard deviation of each group's; at most 2.5 times this", 0.0, 0.2)
     wind_noise: float = 0.01
     wind_noise_correlation_s: float = 3.0
     wind_sensor: bool = True

@@ -201,12 +201,12 @@ def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = No
 
 def _parse(raw: bytes, duration_s: float | None) -> tuple[Floats, float]:
     try:
-        text = raw.decode("utf-8-sig")
+        text = raw.decode("utf-8-sig").rstrip()
     except UnicodeDecodeError as error:
         line, bad = raw.count(b"\n", 0, error.start) + 1, raw[error.start]
         raise ValueError(f"line {line}: byte 0x{bad:02x} is not UTF-8; expected text: {_FORMAT}") from error
-    require_count("the table", text.rstrip().count("\n"), _MOST_ROWS)
-    first, *lines = text.rstrip().split("\n")
+    require_count("the table", text.count("\n"), _MOST_ROWS)
+    first, *lines = text.split("\n")
     require_count("line 1", first.count(",") + 1, MOST_GROUPS + 1)
     header = _cells(first)
     if header[0] != "time_s" or len(header) < 2:

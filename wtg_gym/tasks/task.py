@@ -23,16 +23,7 @@ from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GR
 #: is 100 MVA.
 _TORQUE_SHARE = 0.39
 #: Fields that hashes of suites hold as they are.
-_HASHED = [
-    "version",
-    "k_authority",
-    "tau_authority",
-    "control_dt",
-    "interval_s",
-    "duty_time_s",
-    "on_failure",
-    "anchors",
-]
+_HASHED = "version k_authority tau_authority control_dt interval_s duty_time_s on_failure anchors"
 #: A part of an observation: its kind of unit, its name there, and the letters before the number of its unit.
 Shown = tuple[systems.Kind, str, str]
 
@@ -135,7 +126,7 @@ class Task:
         """Return what hashes of suites hold of the task, as JSON-ready data."""
         defaults = cost.CostWeights()._asdict()
         return {
-            **{name: getattr(self, name) for name in _HASHED},
+            **{name: getattr(self, name) for name in _HASHED.split()},
             "sensed": self.has_sensors,
             "charges_worst": self.failure_costs_whole_episode,
             "cost_offsets": dict(self.cost_offsets),
