@@ -127,7 +127,7 @@ class OverBatch:
     def spec(self, spec: EnvSpec | None) -> None:
         version = self.settings.task.version
         if spec is not None and spec.id in TASKS and TASKS[spec.id].version != version:
-            raise ValueError(f"{spec.id} has its version in its id: leave out version = {version!r}")
+            raise ValueError(f"{spec.id} cannot be made with version = {version!r}: leave it out, the id has one")
         if spec is not None and spec.max_episode_steps is None:
             # Empty because the environment is registered without a time limit: it ends episodes itself.
             n_steps = self._batch.n_steps_of_episode

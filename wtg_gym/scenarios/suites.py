@@ -198,7 +198,6 @@ _SUITES = (
 #: Every suite by its name.
 SUITES: Mapping[str, Suite] = MappingProxyType({suite.name: suite for suite in _SUITES})
 
-#: The default suite.
 DEFAULT_SUITE = "standard-v1"
 #: The hashes that the suites must have.
 FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
