@@ -20,10 +20,11 @@ from torch import Tensor
 
 from agents import run as runs
 from agents.gradient import GradientPolicy, descend
-from agents.planner import Floats, Planner, PlannerOptions, drive
+from agents.planner import Planner, PlannerOptions, drive
 from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import design
 
@@ -67,21 +68,36 @@ class Plans:
         """Take the plans that :meth:`state_dict` returned."""
         vars(self).update(state)
 
-    def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, ...]:
         """Return some episodes of all rounds, drawn with replacement, as many of one round as of another."""
-        rounds = zip(self.observations, self.actions, self.counts, strict=True)
         chosen = [rng.integers(each.shape[1], size=-(-size // len(self.counts))) for each in self.counts]
-        parts = [[column[:, at] for column in columns] for columns, at in zip(rounds, chosen, strict=True)]
-        observations, actions, counts = (torch.cat(columns, dim=1) for columns in zip(*parts, strict=True))
-        return observations, actions, counts
+        return tuple(
+            torch.cat([each[:, at] for each, at in zip(column, chosen, strict=True)], dim=1)
+            for column in (self.observations, self.actions, self.counts)
+        )
 
 
-class DaggerLearner(runs.SavedParts):
+class DaggerLearner(runs.RoundLearner):
     """A policy and the plans that it is fitted to."""
 
-    def __init__(self, policy: GradientPolicy) -> None:
-        self.policy, self.network, self.plans = policy, policy, Plans()
-        self.parts = {"policy": policy, "plans": self.plans}
+    def __init__(self, settings: RunSettings, h: Hyperparameters) -> None:
+        runs.require_local(settings)
+        environment = EnvSettings(**settings.env_arguments, reward="cost")
+        self._h, self.batch = h, EnvBatch(environment, settings.n_envs)
+        self._planner = Planner(environment, settings.n_envs, h)
+        self.timesteps = self._planner.n_steps * settings.n_envs
+        # Last actions come after what is measured. A policy that sees them learns to repeat them.
+        n_observation, n_action = environment.task.n_local, self.batch.n_action // self.batch.n_wtg
+        self.policy = self.network = GradientPolicy(n_observation, n_action, h.hidden, h.lstm)
+        self.policy.per_group = True
+        self.plans = Plans()
+        self.parts = {"policy": self.policy, "plans": self.plans}
+
+    def learn(self, scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
+        step_s = self.batch.settings.step_s
+        driver = driven_by(self.policy, self.batch) if index else disturbed(self._h.noise, step_s, rng)
+        observe(self._planner, self.batch, scenarios, self.plans, driver)
+        return self.fit(self._h, rng)
 
     def fit(self, h: Hyperparameters, rng: np.random.Generator) -> float:
         """Fit the policy to all plans, and return the mean square of what is left in the last update."""
@@ -143,30 +159,11 @@ def driven_by(policy: GradientPolicy, batch: EnvBatch) -> Callable[[Floats], Flo
     return driver
 
 
-def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
-    """Return the learner of a run, and its rounds."""
-    runs.require_local(settings)
-    environment = EnvSettings(**settings.env_arguments, reward="cost")
-    batch = EnvBatch(environment, settings.n_envs)
-    planner = Planner(environment, settings.n_envs, h)
-    # Last actions come after what is measured. A policy that sees them learns to repeat them.
-    policy = GradientPolicy(environment.task.n_local, batch.n_action // batch.n_wtg, h.hidden, h.lstm)
-    policy.per_group = True
-    learner = DaggerLearner(policy)
-
-    def learn(scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
-        driver = driven_by(policy, batch) if index else disturbed(h.noise, environment.step_s, rng)
-        observe(planner, batch, scenarios, learner.plans, driver)
-        return learner.fit(h, rng)
-
-    return runs.Rounds(learner, batch, planner.n_steps * settings.n_envs, learn)
-
-
 main = runs.main_in_rounds(
     "dagger",
     "Train a policy of sensors to do what a planner with the exact state would do.",
     Hyperparameters,
-    rounds,
+    DaggerLearner,
     timesteps=172_800,
     n_envs=80,
 )

@@ -8,7 +8,7 @@ generation has other scenarios.
 
 import pickle
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,6 @@ from typing import Annotated
 
 import cma
 import numpy as np
-import numpy.typing as npt
 import onnx
 import torch
 from cyclopts import Parameter
@@ -29,12 +28,12 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
 from wtg_gym.files import read_bytes
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies.entry_folder import POLICY_FILE, load_entry_folder
 from wtg_gym.policies.torch_export import largest_difference
 from wtg_gym.ranges import Checked, design
 
-Floats = npt.NDArray[np.float64]
 Folders = Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative="")]
 _STATE = "state.pickle"
 #: Generations over which the weights are averaged: each pulls towards its own scenarios.
@@ -71,8 +70,7 @@ class Hyperparameters(Checked):
 def read_policy(folder: Path, settings: RunSettings) -> GradientPolicy:
     """Return the network of a policy that agents.dagger, agents.gradient or this has made for every group alike.
 
-    A ValueError says that it is another one, or acts on another law or in another mode than the settings say; one that
-    acts on k may go on with k and τ.
+    A ValueError says why it is none for these settings; one that acts on k may go on with k and τ.
     """
     entry = load_entry_folder(folder)
     for name in ("action_mode", "observation_mode", "strategy"):
@@ -168,10 +166,7 @@ class Population:
         self._shape, self._reliability = (n_candidates, n_scenarios), reliability
 
     def objectives(self, policy: EvolvedPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
-        """Return what each candidate should lower, in hundreds of points, mean over the scenarios (n_candidates,).
-
-        Candidates are weights of the last layer, then its biases (n_candidates, n).
-        """
+        """Return what each candidate, weights and then biases of the last layer, should lower [100 points] (n,)."""
         batch, (n, n_scenarios), last = self.batch, self._shape, policy.last
         for candidate in range(n):
             first = candidate * n_scenarios
@@ -228,16 +223,32 @@ class Search:
         return np.array(self._search.result.xfavorite)
 
 
-class EvolutionLearner:
-    """A policy and the search for its last layer; `make` is called for a new run alone."""
+class EvolutionLearner(runs.RoundLearner):
+    """A policy and the search for its last layer; policies to start from are read for a new run alone."""
 
-    def __init__(self, make: Callable[[], EvolvedPolicy], seed: int, h: Hyperparameters) -> None:
-        self._make, self._seed, self._h = make, seed, h
+    def __init__(self, settings: RunSettings, h: Hyperparameters) -> None:
+        runs.require_local(settings)
+        if h.start and (h.hidden or h.lstm):
+            raise ValueError("--start brings its own layers; leave out --hidden and --lstm")
+        self._settings, self._h = settings, h
+        environment = EnvSettings(**settings.env_arguments)
+        self._population = Population(environment, settings.n_envs, h.population, h.reliability)
+        self.batch = self._population.batch
+        self.timesteps = self.batch.n_steps_of_episode * self.batch.num_envs
 
     @cached_property
-    def network(self) -> EvolvedPolicy:
+    def network(self) -> EvolvedPolicy:  # type: ignore[override]
         """The policy."""
-        network = self._make()
+        batch, h = self.batch, self._h
+        n_observation, n_action = batch.n_observation // batch.n_wtg, batch.n_action // batch.n_wtg
+        policies = [read_policy(Path(folder), self._settings) for folder in h.start]
+        network: EvolvedPolicy
+        if not policies:
+            network = GradientPolicy(n_observation, n_action, h.hidden, h.lstm)
+        elif len(policies) == 1 and policies[0].last.out_features == n_action:
+            network = policies[0]
+        else:
+            network = JoinedPolicy(policies, n_action)
         network.per_group = True
         return network
 
@@ -250,7 +261,7 @@ class EvolutionLearner:
     @cached_property
     def search(self) -> Search:
         """The search, which begins at the policy."""
-        return Search(self.average, self._h.spread, self._h.population, self._seed)
+        return Search(self.average, self._h.spread, self._h.population, self._settings.seed)
 
     def tell(self, candidates: Floats, objectives: Floats) -> None:
         """Learn what candidates are worth."""
@@ -259,47 +270,24 @@ class EvolutionLearner:
         nn.utils.vector_to_parameters(torch.from_numpy(self.average).float(), self.network.last.parameters())
 
     def save(self, folder: Path) -> None:
-        """Write everything that training goes on from into an empty folder."""
         (folder / _STATE).write_bytes(pickle.dumps((self.network, self.average, self.search)))
 
     def load(self, folder: Path) -> None:
-        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with runs.loading(folder) as folder:
             self.network, self.average, self.search = pickle.loads((folder / _STATE).read_bytes())
 
-
-def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
-    """Return the learner of a run, and its rounds."""
-    runs.require_local(settings)
-    if h.start and (h.hidden or h.lstm):
-        raise ValueError("--start brings its own layers; leave out --hidden and --lstm")
-    population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population, h.reliability)
-    batch = population.batch
-
-    def make() -> EvolvedPolicy:
-        n_action = batch.n_action // batch.n_wtg
-        if not h.start:
-            return GradientPolicy(batch.n_observation // batch.n_wtg, n_action, h.hidden, h.lstm)
-        policies = [read_policy(Path(folder), settings) for folder in h.start]
-        same = len(policies) == 1 and policies[0].last.out_features == n_action
-        return policies[0] if same else JoinedPolicy(policies, n_action)
-
-    learner = EvolutionLearner(make, settings.seed, h)
-
-    def learn(scenarios: Sequence[Scenario], _rng: np.random.Generator, index: int, n_generations: int) -> float:
-        candidates = learner.search.ask()
-        objectives = population.objectives(learner.network, candidates, scenarios)
-        learner.tell(candidates, objectives)
+    def learn(self, scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
+        candidates = self.search.ask()
+        objectives = self._population.objectives(self.network, candidates, scenarios)
+        self.tell(candidates, objectives)
         return float(objectives.mean())
-
-    return runs.Rounds(learner, batch, batch.n_steps_of_episode * settings.n_envs * h.population, learn)
 
 
 main = runs.main_in_rounds(
     "evolution",
     "Search the last layer of a policy by evolution, on the score itself.",
     Hyperparameters,
-    rounds,
+    EvolutionLearner,
     timesteps=32_400_000,
     n_envs=90,
 )

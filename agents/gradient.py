@@ -59,10 +59,7 @@ class Hyperparameters(Checked):
 
 
 class GradientPolicy(nn.Module):
-    """An LSTM, if its width is not zero, then tanh layers to the actions; one layer alone is linear up to its tanh.
-
-    It looks at the first `n_observation` entries of an observation.
-    """
+    """An LSTM, if its width is not zero, then tanh layers, from the first entries of an observation to the actions."""
 
     def __init__(self, n_observation: int, n_action: int, hidden: Sequence[int] = (), lstm: int = 0) -> None:
         super().__init__()
@@ -78,7 +75,6 @@ class GradientPolicy(nn.Module):
             nn.init.zeros_(layer.bias)
         # Tanh at the end too: a clipped action would have no gradient to come back by.
         self.layers = nn.Sequential(*(module for layer in layers for module in (layer, nn.Tanh())))
-
         #: Widths of the states: hidden and cell of the LSTM.
         self.state_widths = (lstm, lstm) if lstm else ()
 
@@ -196,49 +192,41 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, m
     return loss.item()
 
 
-class GradientLearner(runs.SavedParts):
+class GradientLearner(runs.RoundLearner):
     """A policy, its average and its optimiser."""
 
-    def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
-        self.policy = policy
+    def __init__(self, settings: RunSettings, h: Hyperparameters) -> None:
+        if h.per_group:
+            runs.require_local(settings)
+        self._h, self._episodes = h, TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
+        self._failures, self.batch = Failures(self._episodes), self._episodes.tape.batch
+        self.timesteps = self.batch.n_steps_of_episode * settings.n_envs
+        n_parts = self.batch.n_wtg if h.per_group else 1
+        widths = self.batch.n_observation // n_parts, self.batch.n_action // n_parts
+        self.policy = policy = GradientPolicy(*widths, h.hidden, h.lstm)
+        policy.per_group = h.per_group
         #: Every update pulls towards its own scenarios; their average does not.
         mean: Callable[..., None] = get_ema_multi_avg_fn(1.0 - 1.0 / h.averaged)  # type: ignore[no-untyped-call]
         self.average = AveragedModel(policy, multi_avg_fn=mean)
-        self.network: nn.Module = self.average.module
+        self.network = self.average.module
         self.optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
         self.parts = {"policy": policy, "average": self.average, "optimizer": self.optimizer}
 
-
-def rounds(settings: RunSettings, h: Hyperparameters) -> runs.Rounds:
-    """Return the learner of a run, and its rounds."""
-    if h.per_group:
-        runs.require_local(settings)
-    episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
-    batch = episodes.tape.batch
-    failures = Failures(episodes)
-    n_parts = batch.n_wtg if h.per_group else 1
-    policy = GradientPolicy(batch.n_observation // n_parts, batch.n_action // n_parts, h.hidden, h.lstm)
-    policy.per_group = h.per_group
-    learner = GradientLearner(policy, h)
-    n_steps = batch.n_steps_of_episode
-
-    def learn(scenarios: Sequence[Scenario], _rng: np.random.Generator, index: int, n_batches: int) -> float:
-        fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
-        learner.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
-        costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
+    def learn(self, scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
+        h, batch, fallen = self._h, self.batch, 0.5 + 0.5 * math.cos(math.pi * index / n_rounds)
+        self.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
+        costs, strays = costs_of(self._episodes, self.policy, scenarios, batch.n_steps_of_episode, self._failures)
         loss = loss_of(costs, batch.suite, scenarios, h.mean_weight) + STRAY_WEIGHT * strays.mean()
-        value = descend(policy, learner.optimizer, loss, h.max_grad_norm)
-        learner.average.update_parameters(policy)
+        value = descend(self.policy, self.optimizer, loss, h.max_grad_norm)
+        self.average.update_parameters(self.policy)
         return value
-
-    return runs.Rounds(learner, batch, n_steps * settings.n_envs, learn)
 
 
 main = runs.main_in_rounds(
     "gradient",
     "Train a policy by back-propagation through whole episodes of the environment itself.",
     Hyperparameters,
-    rounds,
+    GradientLearner,
     timesteps=1_920_000,
     n_envs=32,
 )

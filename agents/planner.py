@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -29,13 +28,13 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.gradients.torch import TorchEpisodes
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import SERIES_DT, Event, LoadRamp, Scenario
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import Checked, design, whole_steps
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.tasks.cost import COST_TERMS
 
-Floats = npt.NDArray[np.float64]
 #: Of the optimiser of a plan, and the share by which its steps shrink until the last.
 _BETAS, _SHRINKS = (0.7, 0.9), 0.7
 #: Training scenarios that futures are made of, and how often one is drawn at most until it fits.
@@ -119,21 +118,15 @@ class Futures:
 
 
 class Planner:
-    """Plans for episodes of an environment side by side, on `n_threads`, None for one per processor."""
+    """Plans for episodes of an environment side by side."""
 
-    def __init__(
-        self,
-        settings: EnvSettings,
-        num_envs: int,
-        options: PlannerOptions = PlannerOptions(),
-        n_threads: int | None = None,
-    ) -> None:
+    def __init__(self, settings: EnvSettings, num_envs: int, options: PlannerOptions = PlannerOptions()) -> None:
         self.options = options
         length_s, self._step_s = settings.episode_duration_s(), settings.step_s
         #: Of futures that are played for one episode, next to one another.
         self._n_futures = options.futures or 1
         longer = replace(settings, duration_s=length_s + options.horizon_s, reward="cost")
-        self._episodes = TorchEpisodes(longer, self._n_futures * num_envs, n_threads)
+        self._episodes = TorchEpisodes(longer, self._n_futures * num_envs)
         batch = self._episodes.tape.batch
         self._failures, self._futures = Failures(self._episodes), Futures(batch)
         self._suite, self._plant = batch.suite, settings.resolved_plant
@@ -185,7 +178,6 @@ class Planner:
         return np.array([self._action(self._knots, step).numpy() for step in range(first, first + self.n_between)])
 
     def _foreseen(self, scenario: Scenario) -> list[Scenario]:
-        """Return the futures of a scenario."""
         time_s = len(self._taken) * self._step_s
         known = without_foresight(scenario, time_s, self.options.horizon_s)
         if not self.options.futures:
@@ -218,12 +210,10 @@ class Planner:
         return torch.tanh((1.0 - share) * knots[int(index)] + share * knots[int(index) + 1])
 
     def _direction(self, gradient: Any, first: int) -> Tensor:
-        """Return the gradients of all episodes at the same length.
-
-        Past actions stay. Until the next plan all futures of an episode have the same actions.
-        """
+        """Return the gradients of all episodes at the same length; past actions stay."""
         gradient = self._by_episode(torch.nan_to_num(gradient))
         gradient[: int(first * self._step_s / self.options.knot_s)] = 0.0
+        # Until the next plan all futures of an episode have the same actions.
         common = gradient[: math.ceil((first + self.n_between) * self._step_s / self.options.knot_s) + 1]
         common[:] = common.mean(dim=2, keepdim=True)
         direction: Tensor = gradient / (gradient.square().sum(dim=(0, 2, 3), keepdim=True).sqrt() + 1e-12)
@@ -239,8 +229,7 @@ def drive(
 ) -> Floats:
     """Play a scenario in each environment, and return the actions that were taken (n_steps, num_envs, n_action).
 
-    The driver returns those of a step (num_envs, n_action), like the plan that it gets. `on_progress` is called with
-    steps done, and all.
+    The driver returns those of a step, of the plan's shape; `on_progress` is called with steps done, and all.
     """
     planner.start(scenarios)
     batch.start(range(batch.num_envs), scenarios)

@@ -18,7 +18,7 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -30,7 +30,8 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import Entry, circumstances, evaluate
 from wtg_gym.files import interpreting, one_line, read_json, to_json, trusted_files, write_atomically
-from wtg_gym.physics import scenario, tracking_law
+from wtg_gym.physics import tracking_law
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, check_not_built_in, entry_text
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 from wtg_gym.progress import Progress
@@ -50,27 +51,10 @@ _PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "sb3-contrib", 
 _TOLERANCE = 1e-4
 
 
-class Learner(Protocol):
-    """What is trained."""
+class Learner:
+    """What is trained; it saves and loads its `parts` by their state dictionaries."""
 
-    @property
-    def network(self) -> nn.Module:
-        """The deterministic policy for the environment of its run, in the form of `wtg_gym.export_onnx`."""
-
-    def save(self, folder: Path) -> object:
-        """Write everything that training goes on from into an empty folder."""
-
-
-class RoundLearner(Learner, Protocol):
-    """A learner that learns in rounds."""
-
-    def load(self, folder: Path) -> None:
-        """Go back to what was saved; a ValueError names a folder that is damaged."""
-
-
-class SavedParts:
-    """The part of a learner that saves and loads its `parts` by their state dictionaries."""
-
+    network: nn.Module  # the deterministic policy, in the form of `wtg_gym.export_onnx`
     parts: Mapping[str, Any]
 
     def save(self, folder: Path) -> None:
@@ -148,10 +132,7 @@ class RunSettings(SharedSettings):
         return self.interval or max(1, self.timesteps // 20)
 
     def entry(self, name: str = "", description: str = "") -> dict[str, Any]:
-        """Return the keys and values of entry.toml for the run's policy; a ValueError if its name would be refused.
-
-        Without name or description they are made of algorithm and action mode.
-        """
+        """Return the keys and values of entry.toml for the run's policy; a ValueError if its name would be refused."""
         values: dict[str, Any] = {
             "name": name or f"{self.algo} {self.action_mode}",
             "description": description or f"Trained with {self.algo}.",
@@ -178,11 +159,9 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -> None:
-    """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
-
-    It gets its name when it is complete, so that a complete one remains after a kill at any moment; only the user can
-    enter it. One of the same name is of the same step, and is kept.
-    """
+    """Write a folder that is named after a number of timesteps, then remove the older ones beside it."""
+    # It gets its name when it is complete, so that a complete one remains after a kill at any moment; only the user can
+    # enter it. One of the same name is of the same step, and is kept.
     target = parent / f"{timesteps:012d}"
     if not target.exists():
         parent.mkdir(parents=True, exist_ok=True)
@@ -203,11 +182,9 @@ def folders(parent: Path) -> list[Path]:
 
 @contextlib.contextmanager
 def loading(path: Path) -> Iterator[Path]:
-    """Return a folder to load from, and turn any error meanwhile into a ValueError that names it.
-
-    Damaged pickles and archives raise errors of any kind. They also run code, so a file or folder that
-    another user could have written is refused.
-    """
+    """Return a folder to load from, and turn any error meanwhile into a ValueError that names it."""
+    # Damaged pickles and archives raise errors of any kind. They also run code: what another user could have written is
+    # refused.
     try:
         yield trusted_files(path)
     except Exception as error:
@@ -228,11 +205,6 @@ class Run(Checked):
     resumptions: list[Mapping[str, Any]] = field(default_factory=list)
     finished: bool = False  # whether all timesteps are done
     _began: float = field(default=0.0, init=False, repr=False)
-
-    def hyperparameters(self, record: type[H]) -> H:
-        """Return the hyperparameters as a record; a ValueError names the run's file and the one that is wrong."""
-        with interpreting(self.folder / RUN_FILE, "description of the run"):
-            return record(**self.settings.hyperparameters)
 
     @classmethod
     def new(cls, folder: Path, settings: RunSettings) -> "Run":
@@ -269,25 +241,19 @@ class Run(Checked):
         saved = folders(self.folder / CHECKPOINTS)
         if not saved:
             if self.curve:
-                raise ValueError(
-                    f"{self.folder} has validations, but no checkpoint to go on from; begin anew elsewhere"
-                )
+                raise ValueError(f"{self.folder} has validations, but no checkpoint to go on from; begin anew")
             return None
         run = Run.read(saved[-1])
         step = run.curve[-1]["timesteps"] if run.curve else None
         is_same = run.settings == self.settings and run.provenance["started"] == self.provenance["started"]
         if not is_same or step != int(saved[-1].name):
-            raise ValueError(
-                f"{saved[-1]} is a checkpoint of another run or of step {step}; begin anew in another folder"
-            )
+            raise ValueError(f"{saved[-1]} is a checkpoint of another run or of step {step}; begin anew elsewhere")
         return saved[-1]
 
     def begin(self, learner: Learner) -> None:
-        """Write run.json before the first step, so that the run can go on whenever it is interrupted.
-
-        A ValueError says that the policy could not be exported, which is better known now than in the end.
-        """
+        """Write run.json before the first step, so that the run can go on whenever it is interrupted."""
         if not self.curve:
+            # That it cannot be exported is better known now than in the end.
             _exported(learner, self.settings)
         self.write()
         s, done = self.settings, f"from step {self.curve[-1]['timesteps']}, " if self.curve else ""
@@ -378,7 +344,7 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
     }
 
 
-def draw(batch: EnvBatch, rng: np.random.Generator, n_scenarios: int) -> list[scenario.Scenario]:
+def draw(batch: EnvBatch, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
     """Return training scenarios; of strata their seeds follow one another: three hold one of each."""
     if not batch.suite.strata:
         return batch.draw([rng] * n_scenarios)
@@ -412,9 +378,7 @@ def note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def run_command(
-    command: Callable[..., None], name: str, after_interrupt: str, argv: Sequence[str] | None = None
-) -> int:
+def run_command(command: Callable[..., None], name: str, advice: str, argv: Sequence[str] | None = None) -> int:
     """Run `python -m NAME` with words, None for the command line's; return 0 fine, 2 bad input or 130 interrupted."""
     words = sys.argv[1:] if argv is None else list(argv)
     app = App(name=f"python -m {name}", help_format="plaintext", version_flags=(), suppress_keyboard_interrupt=False)
@@ -428,7 +392,7 @@ def run_command(
         note(f"error: {one_line(error)}")
         return 2
     except KeyboardInterrupt:
-        note(f"interrupted; {after_interrupt}")
+        note(f"interrupted; {advice}")
         return 130
     return 0
 
@@ -436,11 +400,7 @@ def run_command(
 def begin_or_go_on(
     options: RunOptions, algos: Container[str], settings: Callable[[], RunSettings], train: Callable[[Run], None]
 ) -> None:
-    """Train in the folder that the options name, which is held meanwhile, and say how it ended.
-
-    `algos` are what the command trains, and `settings` returns those of a new run. A ValueError says why the folder
-    cannot be used.
-    """
+    """Train one of some `algos` in the folder that the options name; `settings` returns those of a new run."""
     if options.resume is not None:
         folder, algo = options.resume, Run.read(options.resume).settings.algo
         if algo not in algos:
@@ -469,20 +429,21 @@ def require_local(settings: RunSettings) -> None:
         raise ValueError("a policy for every group alike sees local observations: leave out --observation-mode")
 
 
-class Rounds(NamedTuple):
-    """A learner and the rounds of equally many steps in which it learns."""
+class RoundLearner(Learner):
+    """A learner that learns in rounds of equally many steps."""
 
-    learner: RoundLearner
     batch: EnvBatch  # whose training scenarios it learns from
     timesteps: int  # of a round
-    #: Learns from the scenarios of a round, its generator, its index, and how many rounds there are; returns the loss.
-    learn: Callable[[list[scenario.Scenario], np.random.Generator, int, int], float]
+
+    def learn(self, scenarios: Sequence[Scenario], rng: np.random.Generator, index: int, n_rounds: int) -> float:
+        """Learn from the scenarios of a round, the index-th of all, with its generator; return the loss."""
+        raise NotImplementedError
 
 
 def main_in_rounds(
-    name: str, what: str, record: type[H], rounds: Callable[[RunSettings, H], Rounds], **defaults: int
+    name: str, what: str, record: type[H], make: Callable[[RunSettings, H], RoundLearner], **defaults: int
 ) -> Callable[..., int]:
-    """Return the `main` of the command `agents.NAME`, which trains the algorithm of that name in rounds.
+    """Return the `main` of the command `agents.NAME`, which trains what `make` returns in rounds.
 
     `what` is its help, `record` its hyperparameters; `defaults` are `timesteps` and `n_envs`, scenarios of a round.
     """
@@ -494,20 +455,22 @@ def main_in_rounds(
         # Sums over several threads depend on which of them ends first.
         torch.set_num_threads(1)
         torch.manual_seed(settings.seed)
-        learner, batch, timesteps, learn = rounds(settings, run.hyperparameters(record))
-        n_rounds, first = -(-settings.timesteps // timesteps), 0
+        with interpreting(run.folder / RUN_FILE, "description of the run"):
+            hyperparameters = record(**settings.hyperparameters)
+        learner, first = make(settings, hyperparameters), 0
+        n_rounds = -(-settings.timesteps // learner.timesteps)
         if saved := run.checkpoint:
-            first = int(saved.name) // timesteps
+            first = int(saved.name) // learner.timesteps
             learner.load(saved)
         run.begin(learner)
         with Progress("rounds") as progress:
             for index in range(first, n_rounds):
-                run.take_stock(learner, index * timesteps)
+                run.take_stock(learner, index * learner.timesteps)
                 # Of its own, so that a resumed run draws what an undisturbed one would have drawn.
                 rng = np.random.default_rng((settings.seed, index))
-                value = learn(draw(batch, rng, settings.n_envs), rng, index, n_rounds)
+                value = learner.learn(draw(learner.batch, rng, settings.n_envs), rng, index, n_rounds)
                 progress.update(f"objective {value:.3f}, {run.title}", index + 1 - first, n_rounds - first)
-        run.take_stock(learner, n_rounds * timesteps, finished=True)
+        run.take_stock(learner, n_rounds * learner.timesteps, finished=True)
 
     def command(*, options: RunOptions = RunOptions(), h: Any = record()) -> None:  # noqa: B008
         begin_or_go_on(options, (name,), lambda: options.settings(name, dataclasses.asdict(h), **defaults), train)

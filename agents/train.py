@@ -22,12 +22,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from agents.run import Run, RunOptions, RunSettings, begin_or_go_on, loading, run_command
+from agents.run import Learner, Run, RunOptions, RunSettings, begin_or_go_on, loading, run_command
 from wtg_gym.files import interpreting, read_text, require_plain
 from wtg_gym.progress import Progress
-from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv
+from wtg_gym.sb3 import DeterministicPolicy, make_sb3_vec_env
 from wtg_gym.scenarios import get_suite
 
 #: The algorithms by name; RL Zoo calls recurrent_ppo ppo_lstm.
@@ -56,11 +56,9 @@ def read_config(path: Path, env_id: str) -> dict[str, Any]:
 
 
 def algorithm_arguments(raw: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of the algorithm, `policy` among them, that a section of a file means.
-
-    Dictionaries are written as such: RL Zoo evaluates texts in the place of them, which would run any code.
-    """
-    # The algorithms write into policy_kwargs.
+    """Return the arguments of the algorithm, `policy` among them, that a section of a file means."""
+    # Dictionaries are written as such: RL Zoo evaluates texts in the place of them, which would run any code. The
+    # algorithms write into policy_kwargs.
     arguments = copy.deepcopy({key: value for key, value in raw.items() if key not in _OF_THE_RUN})
     for key, value in arguments.items():
         if isinstance(value, str) and value.startswith(_LINEAR):
@@ -77,19 +75,13 @@ def normalization_arguments(raw: Mapping[str, Any]) -> dict[str, Any] | None:
     return {**({} if arguments is True else arguments), **({"gamma": raw["gamma"]} if "gamma" in raw else {})}
 
 
-class SB3Learner:
-    """A learner of Stable-Baselines3, for :class:`agents.run.Run`."""
+class SB3Learner(Learner):
+    """A learner of Stable-Baselines3, as it is now; :func:`load_model` loads what it saves."""
 
     def __init__(self, model: BaseAlgorithm) -> None:
-        self.model = model
-
-    @property
-    def network(self) -> torch.nn.Module:
-        """The deterministic policy for the environment of its run."""
-        return DeterministicPolicy(self.model)
+        self.model, self.network = model, DeterministicPolicy(model)
 
     def save(self, folder: Path) -> None:
-        """Write what training goes on from into an empty folder."""
         self.model.save(folder / _MODEL)
         if isinstance(self.model, OffPolicyAlgorithm):
             self.model.save_replay_buffer(folder / _REPLAY_BUFFER)
@@ -97,17 +89,9 @@ class SB3Learner:
             normalize.save(str(folder / _NORMALIZE))
 
 
-def _environments(settings: RunSettings) -> VecEnv:
-    """Return the environments that a run learns in."""
-    return VecMonitor(SB3VecEnv(settings.n_envs, reward="score", **settings.env_arguments))
-
-
 def new_model(settings: RunSettings) -> BaseAlgorithm:
-    """Return an untrained learner in its environments; environment i draws its scenarios from the run's seed plus i.
-
-    A ValueError says that the algorithm refuses a hyperparameter.
-    """
-    env = _environments(settings)
+    """Return an untrained learner in its environments; environment i draws its scenarios from the run's seed plus i."""
+    env: VecEnv = make_sb3_vec_env(settings.n_envs, reward="score", **settings.env_arguments)
     try:
         arguments = algorithm_arguments(settings.hyperparameters)
         if (normalization := normalization_arguments(settings.hyperparameters)) is not None:
@@ -122,7 +106,7 @@ def new_model(settings: RunSettings) -> BaseAlgorithm:
 def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
     """Return the learner of a checkpoint, which begins new episodes; a ValueError if a file is missing or damaged."""
     with loading(folder) as folder:
-        env = _environments(settings)
+        env: VecEnv = make_sb3_vec_env(settings.n_envs, reward="score", **settings.env_arguments)
         if normalization_arguments(settings.hyperparameters) is not None:
             env = VecNormalize.load(str(folder / _NORMALIZE), env)
         model = TRAINED[settings.algo].load(folder / _MODEL, env=env, device="cpu", custom_objects=CUSTOM_OBJECTS)
@@ -134,10 +118,7 @@ def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
 
 
 def train(run: Run) -> None:
-    """Train to the end, from the last checkpoint on if there is one; all files go to the run's folder.
-
-    A wrong hyperparameter, or a checkpoint that is gone or damaged, is a ValueError.
-    """
+    """Train to the end, from the last checkpoint on if there is one; all files go to the run's folder."""
     # Sums over several threads depend on which of them ends first, those that draw the first weights among them.
     torch.set_num_threads(1)
     settings, saved = run.settings, run.checkpoint

@@ -46,12 +46,7 @@ GAINS = Gains(0.0, 0.28, -0.65, -1.66, 0.122)
 
 
 def terms(seen: MeasuredObservation, before: Any = None) -> tuple[Any, Any]:
-    """Return what the numbers multiply (..., n_wtg, 5), and the filtered quantities (..., n_wtg, 3).
-
-    Args:
-        seen: what the groups observe, (..., n_wtg) each.
-        before: filtered quantities of the step before; None in the first.
-    """
+    """Return what the numbers multiply (..., n_wtg, 5), and filtered quantities (..., n_wtg, 3) from those before."""
     deviations_hz = FREQUENCY_UNIT_HZ * np.asarray(seen.frequency_deviation)
     mean_hz = np.broadcast_to(deviations_hz.mean(axis=-1, keepdims=True), deviations_hz.shape)
     now = np.stack([mean_hz, ROTOR_SPEED_UNIT_PU * seen.rotor_speed, 5.0 * seen.wind], axis=-1)
@@ -61,11 +56,7 @@ def terms(seen: MeasuredObservation, before: Any = None) -> tuple[Any, Any]:
 
 
 class DistilledLaw:
-    """The law as a policy.
-
-    Args:
-        gains: its numbers; or an array that broadcasts to (..., n_wtg, 5), for several policies at once.
-    """
+    """The law as a policy; gains that broadcast to (..., n_wtg, 5) are several policies at once."""
 
     def __init__(self, gains: Any = GAINS) -> None:
         self.gains = gains

@@ -28,14 +28,7 @@ FULL_ACTION_HZ = 0.25
 
 
 class FastDroop:
-    """The droop as a policy: it adds to k, in every group after its own measured frequency.
-
-    Args:
-        full_action_hz: deviation of the frequency that takes the whole authority [Hz].
-    """
-
-    def __init__(self, full_action_hz: float = FULL_ACTION_HZ) -> None:
-        self.full_action_hz = full_action_hz
+    """The droop as a policy: it adds to k, in every group after its own measured frequency."""
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -43,7 +36,7 @@ class FastDroop:
         """Return (actions (num_envs, n_wtg) on k in [-1, 1], no state)."""
         seen = of_groups(np.asarray(observation, dtype=np.float64), MeasuredObservation, "k")
         deviation_hz = FREQUENCY_UNIT_HZ * seen.frequency_deviation
-        return np.clip(-deviation_hz / self.full_action_hz, -1.0, 1.0), state
+        return np.clip(-deviation_hz / FULL_ACTION_HZ, -1.0, 1.0), state
 
 
 ENTRY = Entry(

@@ -32,11 +32,7 @@ GAIN = 6.0
 
 
 class TipSpeedFeedback:
-    """The feedback as a policy: it adds to k, the same in every group.
-
-    Args:
-        gain: see :data:`GAIN`.
-    """
+    """The feedback as a policy: it adds to k, the same in every group."""
 
     def __init__(self, gain: float = GAIN) -> None:
         self._gain = gain

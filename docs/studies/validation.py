@@ -58,9 +58,9 @@ def samples(run, step_s):
     environment, rng = EnvSettings(version=run[:2]), np.random.default_rng(0)
     suite = get_suite(environment.suite_name)
     plant = dataclasses.replace(environment.resolved_plant, simulation_dt=step_s)
-    n_wtg, hertz = len(plant.groups), plant.case.frequency_hz
+    hertz = plant.case.frequency_hz
     seeds, sizes = list(suite.validation[:N_SCENARIOS]), [group.n_turbines for group in plant.groups]
-    scenarios = suite.scenarios(seeds, n_wtg=n_wtg, n_turbines=sizes)
+    scenarios = suite.scenarios(seeds, n_turbines=sizes)
     laws = group_laws(environment.strategy, plant.turbines, plant.control)
     simulator = Simulator(plant, num_envs=len(scenarios), duration_s=suite.duration_s)
     simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))

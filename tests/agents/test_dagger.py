@@ -10,6 +10,7 @@ from agents import planner as planning
 from agents.dagger import DaggerLearner, Hyperparameters, Plans, observe
 from agents.gradient import GradientPolicy
 from agents.planner import Futures, Planner, PlannerOptions, begun, drive, planned, without_foresight
+from agents.run import RunSettings
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.evaluation import evaluate
@@ -31,7 +32,7 @@ def test_a_plan_knows_nothing_of_what_comes():
     plans = []
     happened = replace(drawn, events=(replace(step, time_s=9.9),))
     for scenario in (drawn, replace(drawn, wind_speed=wind, load_noise_mw=noise, events=(step,)), drawn, happened):
-        planner = Planner(SHORT, 1, QUICK, 1)
+        planner = Planner(SHORT, 1, QUICK)
         planner.start([scenario])
         for _ in range(20):
             planner.take(np.full((1, 4), 0.1))
@@ -66,7 +67,7 @@ def test_futures_go_on_as_other_scenarios_of_the_suite():
 
 def test_it_plans_from_where_the_episode_is_to_its_end():
     batch = EnvBatch(SHORT, 2, 1)
-    planner = Planner(SHORT, 2, QUICK, 1)
+    planner = Planner(SHORT, 2, QUICK)
     actions = drive(planner, batch, batch.scenarios([1_000_000, 1_000_001]))
     assert actions.shape == (40, 2, 4) and batch.ended()[1].all()
     # What futures have of the past is the episode, to the bit.
@@ -105,11 +106,12 @@ def test_plans_of_a_group_that_is_gone_are_not_learned():
     batch, plans = EnvBatch(SHORT, 1, 1), Plans()
     (drawn,) = batch.scenarios([1_000_000])
     drawn = replace(drawn, events=(GroupTrip(time_s=9.0, group=1),))
-    observe(Planner(SHORT, 1, QUICK, 1), batch, [drawn], plans, lambda plan: plan)
+    observe(Planner(SHORT, 1, QUICK), batch, [drawn], plans, lambda plan: plan)
     (counts,) = plans.counts
     assert counts[:18].all() and not counts[20:, 0, 1].any() and counts[:, 0, [0, 2, 3]].all()
-    learner = DaggerLearner(GradientPolicy(6, 1, (4,), 4))
-    learner.plans, other = plans, DaggerLearner(GradientPolicy(6, 1, (4,), 4))
+    settings = RunSettings(algo="dagger", hyperparameters={}, timesteps=1, n_envs=1, action_mode="k")
+    learner, other = (DaggerLearner(settings, Hyperparameters(hidden=(4,), lstm=4)) for _ in range(2))
+    learner.plans = plans
     other.policy.load_state_dict(learner.policy.state_dict())
     other.plans.observations, other.plans.counts = plans.observations, plans.counts
     # Whatever was planned for it.

@@ -46,6 +46,7 @@ RUNS = {
         *(dagger.DaggerLearner, "fit"),
     ),
 }
+LEARNERS = {gradient: gradient.GradientLearner, evolution: evolution.EvolutionLearner, dagger: dagger.DaggerLearner}
 WRONG = [
     (gradient, ["--hidden", "8", "0"], "hidden must be a whole number"),
     (gradient, ["--lstm", "-1"], "lstm must"),
@@ -214,7 +215,8 @@ def test_what_is_lowered_is_minus_the_score_in_hundreds():
 def test_policy_is_the_mean_of_what_was_found():
     policy = GradientPolicy(4, 1)
     before = policy.last.weight.detach().clone()
-    learner = evolution.EvolutionLearner(lambda: policy, 0, evolution.Hyperparameters(population=6, spread=0.5))
+    learner = evolution.EvolutionLearner(EVOLUTION(), evolution.Hyperparameters(population=6, spread=0.5))
+    learner.network = policy
     candidates = learner.search.ask()
     learner.tell(candidates, ((candidates - 1.0) ** 2).sum(axis=1))
     assert learner.average == pytest.approx(learner.search.mean)
@@ -245,7 +247,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(module, tmp_path
     assert [(each.finished, len(each.resumptions)) for each in (run, resumed)] == [(True, 0), (True, 1)]
     networks = []
     for folder in (one, two):
-        learner = module.rounds(run.settings, module.Hyperparameters(**run.settings.hyperparameters)).learner
+        learner = LEARNERS[module](run.settings, module.Hyperparameters(**run.settings.hyperparameters))
         learner.load(folders(folder / "checkpoints")[0])
         networks.append(learner.network)
     states = [network.state_dict() for network in networks]

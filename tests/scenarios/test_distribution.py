@@ -237,7 +237,7 @@ def test_sensors_of_a_suite_are_those_of_its_distribution_and_can_be_replaced(su
     name = scenario.name.partition("/")[0] if own.distributions else suite
     assert scenario.sensors == own.sensors.draw_many(name, [seed], scenario.n_wtg)[0]
     assert scenario.sensors.wind_sensor == (suite != "no-wind-sensor-v1")
-    slower = own.sensors.replaced({"delay_s": (0.4, 0.6)})
+    slower = replace(own.sensors, delay_s=(0.4, 0.6))
     moved = own.scenarios([seed], sensors=slower)[0]
     assert moved.sensors == slower.draw_many(name, [seed], scenario.n_wtg)[0]
     # Whatever measures, the scenario is the same: more delay by an override is a shift of the same draw.

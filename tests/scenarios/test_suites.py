@@ -21,7 +21,7 @@ from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase
 from wtg_gym.physics.machine_parameters import GovernorParameters
-from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, Suite
 from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Picker, Record, SensorDistribution, Wind
 from wtg_gym.scenarios.margin import ReserveMargin
@@ -200,3 +200,14 @@ def test_the_environment_tells_the_margin_in_the_suites_plant_with_its_own_group
         own = arguments.get("scenario") or env.batch.scenarios([info["scenario_seed"]])[0]
         assert own.n_wtg == n_wtg and info["reserve_margin"] == ReserveMargin(plant).of(own)
         env.step(np.zeros(2 * n_wtg))
+
+
+@pytest.mark.parametrize("suite", [STANDARD, STANDARD_V1], ids=["v0", "v1"])
+def test_a_suite_and_its_environment_draw_the_same_whatever_its_turbines_are_rated(suite):
+    turbine = TurbineParameters(rated_power_mw=2.0 * TurbineParameters().rated_power_mw)
+    groups = tuple(
+        dataclasses.replace(group, n_turbines=0.5 * group.n_turbines, turbine=turbine) for group in suite.plant.groups
+    )
+    suite = dataclasses.replace(suite, plant=dataclasses.replace(suite.plant, groups=groups))
+    batch = EnvBatch(EnvSettings(suite=suite, reward="cost"))
+    assert suite.scenario(20_000).to_json() == batch.scenarios([20_000])[0].to_json()

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import compress
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -73,7 +74,6 @@ class EnvBatch:
         self.laws = settings.laws()
         plant = settings.resolved_plant
         self.n_wtg = len(plant.groups)
-        self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
         self.observation_names = [number.name for number in settings.task.observed_numbers(settings.choices)]
         self.info_names = (*observation.INFO_KEYS, *(observation.LocalInfo._fields if plant.extended else ()))
@@ -96,8 +96,7 @@ class EnvBatch:
         self._references: dict[int, EnvBatch] = {}
         self._check_time_constants()
         self._check_draws()
-        acts = zip(("k", "tau"), episode.ACTION_MODES[settings.action_mode], strict=True)
-        modes = [name for name, is_acted in acts if is_acted]
+        modes = list(compress(("k", "tau"), episode.ACTION_MODES[settings.action_mode]))
         self.action_names = [f"wtg{group}.{name}" for group in range(self.n_wtg) for name in modes]
         self.n_action = len(self.action_names)
         self.outputs = self._new_outputs(num_envs)
@@ -158,11 +157,8 @@ class EnvBatch:
         allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
         step_s = self.simulator.settings.simulation_dt
         if episode.ACTION_MODES[self.settings.action_mode][1] and step_s > allowed:
-            raise ValueError(
-                f"simulation_dt = {step_s:g} s is too long for the damping time constant of "
-                f"{ratio / fastest:g} s, which actions make {1.0 / fastest:g} s; "
-                f"allowed: at most {allowed:.3g} s"
-            )
+            what = f"the damping time constant of {ratio / fastest:g} s, which actions make {1.0 / fastest:g} s"
+            raise ValueError(f"simulation_dt = {step_s:g} s is too long for {what}; allowed: at most {allowed:.3g} s")
 
     def _check_draws(self) -> None:
         """Refuse settings under which drawn scenarios do not fit, here rather than at some reset."""
@@ -172,7 +168,7 @@ class EnvBatch:
         for delay_s in [] if sensors is None else sensors.delays_s():
             delay_intervals(delay_s, self.settings.interval_s)
         for distribution in self.suite.distributions:
-            distribution.check_turbines(self.n_turbines)
+            distribution.check_turbines(self.suite.default_turbines(self.settings.resolved_plant))
 
     def draw_seed(self, rng: np.random.Generator) -> int:
         """Return the seed of the next episode's scenario; -1 where all episodes have the same."""
@@ -190,8 +186,6 @@ class EnvBatch:
         """Return the suite's scenarios of seeds, for this plant and episode length."""
         return self.suite.scenarios(
             seeds,
-            n_wtg=self.n_wtg,
-            n_turbines=self.n_turbines,
             duration_s=self.duration_s,
             sensors=self.settings.sensor_distribution,
             plant=self.settings.resolved_plant,
@@ -215,13 +209,12 @@ class EnvBatch:
         try:
             prepared = self.simulator.prepare(scenarios, self.laws, turning=turning)
         except StartError as error:
-            if self.settings.draws_again:
-                advice = "`wtg-gym grid check` says how many of its scenarios start"
-                raise StartError(f"{error}; {advice}") from error
-            raise
-        durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
+            if not self.settings.draws_again:
+                raise
+            raise StartError(f"{error}; `wtg-gym grid check` says how many of its scenarios start") from error
         step_s, plant = self.settings.step_s, self.settings.resolved_plant
-        n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in durations])
+        ends_s = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
+        n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in ends_s])
         outputs = self._start_tasks(prepared, scenarios, n_steps)
         if self.settings.scores:
             self._play_reference(scenarios, outputs.reference)
@@ -245,10 +238,9 @@ class EnvBatch:
             self._references[at_once].play_costs(costs[first : first + len(part)])
 
     def first_to_start(self, env: int, prepare_next: Callable[[], Started]) -> Started:
-        """Return what an environment's next episodes give, one after the other, until one can start.
+        """Return what the first of an environment's next episodes that can start gives; those before it are counted.
 
-        Those that cannot are counted. A ValueError says that the environment's one scenario does not start, or none of
-        many drawn ones.
+        A ValueError says that the environment's one scenario does not start, or none of many drawn ones.
         """
         refusal: Exception | None = None
         for _ in range(_MOST_DRAWS):
@@ -356,10 +348,8 @@ class EnvBatch:
         where there are several, and prepares `n_prepared` episodes. A ValueError says that an action is not finite;
         nothing has been stepped then.
         """
-        simulator = self.simulator
-        if self._bound is None:
-            self._bind()
-        bound, alone = self._bound, simulator.threads.n_blocks == 1
+        simulator, bound = self.simulator, self._bound or self._bind()
+        alone = simulator.threads.n_blocks == 1
         if alone:
             invalid = step_blocks(bound, actions, 0, 1, 0, False)
         else:
@@ -381,20 +371,18 @@ class EnvBatch:
     def play_costs(self, costs: Floats) -> None:
         """Play episodes that have just been started without actions; write their costs up to each control step.
 
-        `costs` are (num_envs, n_steps + 1), of the first environments.
+        `costs` are (n, n_steps + 1), of the first n environments.
         """
-        if self._bound is None:
-            self._bind()
-        bound, actions = self._bound, np.zeros((self.num_envs, self.n_action))
+        bound, actions = self._bound or self._bind(), np.zeros((self.num_envs, self.n_action))
         self.simulator.threads.run(lambda first, last, worker: play_costs(bound, actions, costs, first, last, worker))
 
     @undivided
-    def _bind(self) -> None:
+    def _bind(self) -> Any:
         # numba would turn the exception of a signal handler into a SystemError.
-        simulator = self.simulator
-        self._bound = bind(
-            simulator.blocks, simulator.scratches, simulator.plant.network, simulator.data, self.task_data, self.outputs
-        )
+        simulator, of_task = self.simulator, (self.task_data, self.outputs)
+        network = simulator.plant.network
+        self._bound = bind(simulator.blocks, simulator.scratches, network, simulator.data, *of_task)
+        return self._bound
 
     def statuses(self) -> npt.NDArray[np.int64]:
         """Return why each environment ended (:class:`Status`), RUNNING (0) where it did not or its time was over."""

@@ -129,9 +129,8 @@ class GFMWTGVectorEnv(
         if not isinstance(autoreset_mode, AutoresetMode):
             require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.single_observation_space, self.single_action_space = self._open(
-            arguments, render_mode, num_envs, n_threads
-        )
+        spaces = self._open(arguments, render_mode, num_envs, n_threads)
+        self.single_observation_space, self.single_action_space = spaces
         self.num_envs = self._batch.num_envs
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -160,7 +159,10 @@ class GFMWTGVectorEnv(
         # Given scenarios that cannot start are refused before the first change.
         episodes = None
         if "scenarios" in checked:
-            scenarios = self._scenarios(checked["scenarios"])
+            option, name = checked["scenarios"], 'options["scenarios"]'
+            if not isinstance(option, Sequence) or len(option) != self.num_envs:
+                raise ValueError(f"{name} must be a list of {self.num_envs} scenarios, got {option!r:.80}")
+            scenarios = [self._batch.scenario_of(name, scenario) for scenario in option]
             episodes = self._batch.prepare([scenarios[env] for env in envs], turning=True)
         generators = {env: seeding.np_random(s)[0] for env in envs if (s := seeds[env]) is not None}
         self._next.reseed(generators)
@@ -182,11 +184,6 @@ class GFMWTGVectorEnv(
                 f"got shape {mask.shape}, dtype {mask.dtype}: {option!r:.80}"
             )
         return mask
-
-    def _scenarios(self, option: Any) -> list[Scenario]:
-        if not isinstance(option, Sequence) or len(option) != self.num_envs:
-            raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {option!r:.80}')
-        return [self._batch.scenario_of('options["scenarios"]', scenario) for scenario in option]
 
     def _env_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         seeds: Sequence[int | None]
@@ -214,17 +211,12 @@ class GFMWTGVectorEnv(
         thread is in this object.
         """
         waiting = np.logical_or(*self._batch.ended())
-        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._batch.started):
-            raise RuntimeError(
-                f"environments {np.flatnonzero(waiting).tolist()} have ended or were never started; call reset()"
-            )
         beginning = np.flatnonzero(waiting).tolist()
+        if beginning and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._batch.started):
+            raise RuntimeError(f"environments {beginning} have ended or were never started; call reset()")
         preparing = self._next.choose(beginning)
-        self._batch.step(
-            interface.as_actions(actions, (self.num_envs, self._batch.n_action)),
-            lambda: self._next.prepare(preparing),
-            len(preparing),
-        )
+        as_floats = interface.as_actions(actions, (self.num_envs, self._batch.n_action))
+        self._batch.step(as_floats, lambda: self._next.prepare(preparing), len(preparing))
         if self._step_limit is not None:
             self._batch.stop(~waiting & (self._batch.n_steps() >= self._step_limit))
         terminated, truncated = self._batch.ended()
@@ -250,10 +242,8 @@ class GFMWTGVectorEnv(
 
     def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """Every key of `info` as an array, and as `_key` the environments that it holds for: one array for all keys."""
-        infos: dict[str, Any] = {}
-        for key, array in self._batch.info_arrays().items():
-            infos[key], infos[f"_{key}"] = array, mask
-        return infos
+        arrays = self._batch.info_arrays()
+        return {**arrays, **{f"_{key}": mask for key in arrays}}
 
     def render(self) -> tuple[rendering.Frame, ...] | None:
         """Draw every episode up to now: a frame (540, 960, 3) uint8 per environment.

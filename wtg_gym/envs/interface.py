@@ -94,10 +94,7 @@ class OverBatch:
     def _open(
         self, arguments: Mapping[str, Any], render_mode: str | None, num_envs: int = 1, n_threads: int | None = None
     ) -> "tuple[gym.spaces.Box[np.float32], gym.spaces.Box[np.float32]]":
-        """Make settings, batch and frames; return the observation space and the action space of one episode.
-
-        A TypeError names an argument that is unknown, a ValueError a value that is not allowed.
-        """
+        """Make settings, batch and frames; return the observation space and the action space of one episode."""
         settings = [field.name for field in dataclasses.fields(EnvSettings)]
         if unknown := [name for name in arguments if name not in settings]:
             known = [*settings, *list(inspect.signature(type(self)).parameters)[:-1]]
@@ -130,9 +127,7 @@ class OverBatch:
     def spec(self, spec: EnvSpec | None) -> None:
         version = self.settings.task.version
         if spec is not None and spec.id in TASKS and TASKS[spec.id].version != version:
-            raise ValueError(
-                f"{spec.id} cannot be made with version = {version!r}: its id is its version; leave it out"
-            )
+            raise ValueError(f"{spec.id} cannot be made with version = {version!r}: leave it out, the id has one")
         if spec is not None and spec.max_episode_steps is None:
             # Empty because the environment is registered without a time limit: it ends episodes itself.
             n_steps = self._batch.n_steps_of_episode
@@ -206,6 +201,4 @@ def check_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dic
 
 def warn_of_no_render_mode() -> None:
     """Warn that there is nothing to render with."""
-    gym.logger.warn(
-        'render() draws nothing, since the environment was made without a render_mode; give one, such as "rgb_array"'
-    )
+    gym.logger.warn('render() draws nothing: the environment was made without a render_mode, such as "rgb_array"')

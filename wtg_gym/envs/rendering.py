@@ -128,13 +128,11 @@ def draw_diagram(axes: "Axes", plant: Plant, events: Sequence[Event], over: Coll
 
 def _units(bus: int, plant: Plant, events: Sequence[Event]) -> list[tuple[str, str, bool]]:
     """Return name, colour and whether it is disconnected of every unit of a bus."""
-    units = []
-    for machine in plant.case.machines:
-        if machine.bus == bus:
-            # The machine with a governor is the generator; the others are condensers.
-            colour = EVENT if any(isinstance(e, GovernorLoss) and e.bus == bus for e in events) else INK
-            is_out = any(isinstance(e, MachineOutage) and e.bus == bus for e in events)
-            units.append(("C" if machine.governor is None else "G", colour, is_out))
+    colour = EVENT if any(isinstance(e, GovernorLoss) and e.bus == bus for e in events) else INK
+    is_out = any(isinstance(e, MachineOutage) and e.bus == bus for e in events)
+    # A machine with a governor is a generator; the others are condensers.
+    names = ("C" if machine.governor is None else "G" for machine in plant.case.machines if machine.bus == bus)
+    units = [(name, colour, is_out) for name in names]
     for j, group in enumerate(plant.groups):
         if group.bus == bus:
             is_out = any(isinstance(e, GroupTrip) and e.group == j for e in events)
@@ -192,11 +190,8 @@ def panels_of(plant: Plant) -> tuple[Panel, ...]:
 class Scene(NamedTuple):
     """What changes seldom from frame to frame."""
 
-    env_id: str
     heading: str  # which episode it is
     duration_s: float  # of the episode if nothing ends it before [s]
-    plant: Plant
-    panels: tuple[Panel, ...]
     events: tuple[Event, ...]  # those that have struck
     undone: tuple[Event, ...]  # those of them whose line is closed again, or whose unit is back
 
@@ -204,17 +199,18 @@ class Scene(NamedTuple):
 class FramePainter:
     """Draws the frames of one episode after the other; a DependencyNotInstalled if matplotlib is missing."""
 
-    def __init__(self) -> None:
+    def __init__(self, env_id: str, plant: Plant) -> None:
         self._style = _needed("matplotlib.style", "rendering").context
+        self._env_id, self._plant, self._panels = env_id, plant, panels_of(plant)
         self._kept: tuple[Scene, list[Range]] | None = None
 
     def __reduce__(self) -> Any:
         # A copy draws anew.
-        return FramePainter, ()
+        return FramePainter, (self._env_id, self._plant)
 
     def paint(self, scene: Scene, samples: Samples, texts: Sequence[str]) -> Frame:
         """Return a frame of an episode; samples have their instants under "time" [s]."""
-        ranges = [_fitting_range(panel, samples) for panel in scene.panels]
+        ranges = [_fitting_range(panel, samples) for panel in self._panels]
         # A user's settings do not change the picture.
         with self._style("default"):
             if (scene, ranges) != self._kept:
@@ -241,7 +237,7 @@ class FramePainter:
         self._lines: dict[tuple[str, int], Any] = {}
         places = {"left": 0.3875, "right": 0.9875, "top": 0.952, "bottom": 0.074, "hspace": 0.3125, "wspace": 0.15}
         grid = self._figure.subplots(4, 2, sharex=True, gridspec_kw=places)
-        for axes, panel, limits in zip(grid.T.flat, scene.panels, ranges, strict=True):
+        for axes, panel, limits in zip(grid.T.flat, self._panels, ranges, strict=True):
             _draw_axes(axes, panel, limits, scene)
             for column in range(samples[panel.name].shape[1]):
                 colour = INK if panel.name in ("frequency", "rocof") else group_colour(column)
@@ -251,9 +247,9 @@ class FramePainter:
         for axes in grid[-1]:
             axes.set_xlabel("time [s]", fontsize=11, color=SOFT, labelpad=2)
         # The left part: the environment, heading, diagram, and the latest six events in words.
-        self._figure.text(0.017, 0.974, scene.env_id, fontsize=16, fontweight="bold", color=INK, va="top")
+        self._figure.text(0.017, 0.974, self._env_id, fontsize=16, fontweight="bold", color=INK, va="top")
         self._figure.text(0.017, 0.933, scene.heading, fontsize=12, color=SOFT, va="top")
-        draw_diagram(self._figure.add_axes((0.008, 0.307, 0.333, 0.444)), scene.plant, scene.events, scene.undone)
+        draw_diagram(self._figure.add_axes((0.008, 0.307, 0.333, 0.444)), self._plant, scene.events, scene.undone)
         for line, (number, event) in enumerate(list(enumerate(scene.events, start=1))[-6:]):
             y, words = 0.27 - 0.0315 * line, f"{event.time_s:g} s: {event.words}"
             self._figure.text(0.017, y, str(number), fontsize=12, fontweight="bold", color=EVENT, va="top")
@@ -344,10 +340,9 @@ class BatchFrames:
     def __init__(self, batch: EnvBatch, *, opens_window: bool, fps: int) -> None:
         self._batch, self._plant = batch, batch.settings.resolved_plant
         self._tip_speeds = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in self._plant.turbines])
-        self._panels = panels_of(self._plant)
         #: By quantity, (num_envs, n_steps, 1 or n_wtg); not a number where there is none.
         self._samples: dict[str, npt.NDArray[np.float32]] = {}
-        self._painters = [FramePainter() for _ in range(batch.num_envs)]
+        self._painters = [FramePainter(batch.suite.env_id, self._plant) for _ in range(batch.num_envs)]
         self._window = Window(batch.suite.env_id, fps) if opens_window else None
 
     def sample(self) -> None:
@@ -385,11 +380,8 @@ class BatchFrames:
         struck = tuple(event for event in batch.events[env] if event.time_s <= now_s + 1e-6)
         seed, outputs = int(batch.scenario_seeds[env]), batch.outputs
         scene = Scene(
-            env_id=batch.suite.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
             duration_s=float(batch.task_values("end_step")[env]) * simulator.plant.simulation_dt,
-            plant=self._plant,
-            panels=self._panels,
             events=struck,
             undone=undone(struck, now_s + 1e-6),
         )

@@ -1,7 +1,7 @@
 """The arguments of an environment, checked once for the single and the vector environment."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike, fspath
 from typing import Any
@@ -124,10 +124,8 @@ class EnvSettings:
         name = self.suite_name
         suite = self.suite if isinstance(self.suite, Suite) else get_suite(name)
         if self.version not in (None, suite.task.version):
-            raise ValueError(
-                f"suite {name!r} is of version {suite.task.version}, not {self.version}; choose one of "
-                f"{', '.join(self._suites)}"
-            )
+            known = f"choose one of {', '.join(self._suites)}"
+            raise ValueError(f"suite {name!r} is of version {suite.task.version}, not {self.version}; {known}")
         return suite
 
     @cached_property
@@ -203,7 +201,8 @@ class EnvSettings:
         if not isinstance(self.sensors, Mapping):
             near = did_you_mean(self.sensors, ["exact"])
             raise ValueError(f'sensors must be "exact" or a dictionary of names and values, got {self.sensors!r}{near}')
-        return (of_suite or draws.SensorDistribution()).replaced(self.sensors)
+        require_known("values of the sensors", self.sensors, draws.SensorDistribution.__dataclass_fields__)
+        return replace(of_suite or draws.SensorDistribution(), **self.sensors)
 
     def cost_weights(self) -> CostWeights:
         """Return the weights in force; a ValueError names unknown ones."""

@@ -126,13 +126,11 @@ def task_data(task: Task, choices: Choices, layout: Layout, n_intervals: int, po
 
 @internal
 def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -> int:
-    """Copy the actions of a block's environments, from row `first` of (num_envs, n_action) on; padding has none.
-
-    It returns the first environment with an action that is not finite, or -1.
-    """
+    """Copy the actions of a block's environments, from `first` on; return the first with one not finite, or -1."""
     invalid = -1
     for a in range(task.wanted.shape[0]):
         for x in range(scratch.shape[1]):
+            # Padding has none.
             action = actions[first + x, a] if first + x < actions.shape[0] else 0.0
             if not math.isfinite(action) and (invalid < 0 or first + x < invalid):
                 invalid = first + x
@@ -236,9 +234,8 @@ def bind(blocks: Floats, scratches: Floats, network: Network, data: BatchData, t
 def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int, starts: bool) -> int:
     """Apply actions, advance one control step, observe and charge, for the environments of blocks first … last - 1.
 
-    Actions are (num_envs, n_action). The scratch is that of a worker. `starts` takes the first measurements and
-    observations of prepared episodes instead. It returns -1, or the first environment with an action not finite: its
-    block and those after it have not been stepped.
+    Actions are (num_envs, n_action). `starts` takes the first measurements and observations of prepared episodes
+    instead. It returns -1, or the first environment with an action not finite: its block and later ones have not moved.
     """
     scratch, of_all = bound.scratches[worker], (bound.network, bound.data, bound.task, bound.outputs)
     return _step_blocks(bound.blocks, scratch, of_all, actions, first, last, starts)

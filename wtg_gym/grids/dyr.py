@@ -70,9 +70,8 @@ class Dynamics:
         self.notes, self._substitute = notes, substitute
         self._records = defaultdict[tuple[int, str], dict[str, list[float]]](dict)
         self._unknown = Counter[str]()
-        text = "\n".join(
-            re.sub(r"^\s*(//|!).*", "", line) for line in read_text(path, "case", or_latin=True).splitlines()
-        )
+        lines = read_text(path, "case", or_latin=True).splitlines()
+        text = "\n".join(re.sub(r"^\s*(//|!).*", "", line) for line in lines)
         # Text behind the end of a record, on the same line, is a remark.
         for record in re.sub(r"/.*", "/", text).split("/"):
             fields = re.findall(r"'[^']*'|[^\s,]+", record)

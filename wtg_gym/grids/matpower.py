@@ -192,10 +192,8 @@ def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
     left = re.sub(_SCALAR, "", left)
     left = re.sub(r"(?m)function\s+[^\n]*|^\s*(?:end|return)\s*;?\s*$", "", left)
     if statements := [line.strip() for line in left.splitlines() if line.strip(" ;\t\r")]:
-        raise ValueError(
-            f"besides its tables it has statements, such as {statements[0]!r:.80}, which only MATLAB or Octave "
-            f"can run: {_SAVE}"
-        )
+        what = f"besides its tables it has statements, such as {statements[0]!r:.80}"
+        raise ValueError(f"{what}, which only MATLAB or Octave can run: {_SAVE}")
     names = [name for name, _ in (*tables, *scalars)]
     if len(set(names)) < len(names) or not {"bus", "gen", "branch", "baseMVA"} <= set(names):
         raise ValueError(f"it must have baseMVA and the tables bus, gen and branch, and each once, got {names}")

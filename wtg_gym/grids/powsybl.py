@@ -74,8 +74,11 @@ _UNREAD = {
     "voltage-source-converter": ("voltage_source_converters", "target_p"),
 }
 #: Whatever else may move in its power flow stands still.
-_STILL = "transformer_voltage_control_on shunt_compensator_voltage_control_on phase_shifter_regulation_on"
-_FLOW = dict.fromkeys(f"distributed_slack use_reactive_limits hvdc_ac_emulation {_STILL}".split(), False)
+_STILL = (
+    "distributed_slack read_slack_bus use_reactive_limits hvdc_ac_emulation transformer_voltage_control_on "
+    "shunt_compensator_voltage_control_on phase_shifter_regulation_on"
+)
+_FLOW: dict[str, Any] = dict.fromkeys(_STILL.split(), False)
 _OF_PROVIDER = {
     **{"newtonRaphsonConvEpsPerEq": "1e-10", "maxNewtonRaphsonIterations": "30", "useLoadModel": "true"},
     **{"minPlausibleTargetVoltage": "0.1", "maxPlausibleTargetVoltage": "10", "plausibleActivePowerLimit": "1e9"},
@@ -112,11 +115,13 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
     if raw is None and net.source_format == "PSS/E" and "iidm" not in path.suffix.lower():
         # What pypowsybl passes over would not be seen.
         raise ValueError("a case of PSS/E is read from its .raw or .rawx file only, not from an archive")
+    unread: dict[str, tuple[int, float]] = {}
     if raw is not None:
         _switch_off(net, raw, notes)
-    if raw is not None and raw.records["swshunt"]:
-        notes.append("switched shunts stand at their initial susceptance BINIT, which pypowsybl would round to a step")
-    unread = {} if raw is None else {kind: (n, 0.0) for kind, n in raw.passed_over()}
+        unread |= {kind: (n, 0.0) for kind, n in raw.passed_over()}
+        if raw.records["swshunt"]:
+            what = "switched shunts stand at their initial susceptance BINIT"
+            notes.append(f"{what}, which pypowsybl would round to a step")
     for kind, (name, column) in _UNREAD.items():
         rows = getattr(net, f"get_{name}")()
         on = rows[rows[[c for c in rows if c.startswith("connected")]].all(axis=1)] if len(rows) else rows
@@ -148,8 +153,7 @@ def _buses(net: Any) -> dict[int, str]:
 
 def _switch_off(net: Any, raw: "_Raw", notes: list[str]) -> None:
     """Take out of service what is at buses that are, which pypowsybl does not."""
-    off = [row["ibus"] for row in raw.records["bus"] if row.get("ide") == _ISOLATED]
-    if not off:
+    if not (off := [row["ibus"] for row in raw.records["bus"] if row.get("ide") == _ISOLATED]):
         return
     names = {f"B{number}" for number in off}
     if missing := names - set(net.get_bus_breaker_view_buses().index):
@@ -231,9 +235,8 @@ class _Raw:
             elif rest:
                 rest -= 1
             elif fields := _fields(line):
-                names = [
-                    name for name in _FIELDS.get(section, "name").split() if new or name not in _NEW.get(section, ())
-                ]
+                skipped = () if new else _NEW.get(section, ())
+                names = [name for name in _FIELDS.get(section, "name").split() if name not in skipped]
                 record = dict(zip(names, fields, strict=False))
                 if section == "transformer":
                     rest = 3 if record.get("kbus", "0") in ("", "0") else 4
@@ -252,9 +255,8 @@ class _Raw:
         key = {name: record.get(name, "") for name in _FIELDS.get(section, "").split()[: _KEYS.get(section, 0)]}
         # A branch may be written from either end, and its metered one negative.
         buses = sorted(value.lstrip("-0") for name, value in key.items() if name.endswith("bus"))
-        which = " ".join(
-            ["-".join(filter(None, buses)), *[key[name] or "1" for name in key if not name.endswith("bus")]]
-        )
+        ids = [value or "1" for name, value in key.items() if not name.endswith("bus")]
+        which = " ".join(["-".join(filter(None, buses)), *ids])
         if key and (section, which) in self._seen:
             raise ValueError(f"its {section} data have more than one record of bus {which}")
         self._seen.add((section, which))
@@ -359,9 +361,7 @@ class _Tables:
         statuses = []
         for start in ("UNIFORM_VALUES", "DC_VALUES", "PREVIOUS_VALUES"):
             mode = library.loadflow.VoltageInitMode.__members__[start]
-            flow = library.loadflow.Parameters(
-                voltage_init_mode=mode, read_slack_bus=False, provider_parameters=provider, **_FLOW
-            )
+            flow = library.loadflow.Parameters(voltage_init_mode=mode, provider_parameters=provider, **_FLOW)
             try:
                 results = library.loadflow.run_ac(self.net, flow)
             except Exception as error:
@@ -381,12 +381,9 @@ class _Tables:
         if not frequency:
             frequency = 60.0 if self.net.source_format in ("IEEE-CDF", "PSS/E") else 50.0
             self.notes.append(f"the nominal frequency is taken as {frequency:g} Hz, which the file does not say")
-        voltages = {
-            key: cmath.rect(row.v_mag / self.volts[key], math.radians(row.v_angle))
-            if row.synchronous_component == part
-            else 0j
-            for key, row in self.buses.iterrows()
-        }
+        voltages = dict.fromkeys(self.buses.index, 0j)
+        for key, row in self.buses[self.buses["synchronous_component"] == part].iterrows():
+            voltages[key] = cmath.rect(row.v_mag / self.volts[key], math.radians(row.v_angle))
         self.out = solved_case.SolvedCase(self.name, "pypowsybl", frequency, self.slack, voltages)
         self.out.numbers, self.out.notes, self.out.load_mw = dict(self.numbers), self.notes, self._load_mw()
         if self.raw is not None:
@@ -408,10 +405,8 @@ class _Tables:
 
     def _compare_stored(self, raw: "_Raw") -> None:
         """Note how far the solution is from the voltages that a RAW file stores, unless those are a flat start."""
-        stored = {
-            int(row["ibus"]): cmath.rect(_number(row, "vm", 1.0), math.radians(_number(row, "va")))
-            for row in raw.records["bus"]
-        }
+        rows = {int(row["ibus"]): row for row in raw.records["bus"]}
+        stored = {n: cmath.rect(_number(row, "vm", 1.0), math.radians(_number(row, "va"))) for n, row in rows.items()}
         turn = cmath.phase(stored.get(self.numbers.get(self.slack, 0), 1 + 0j))
         far = {
             number: abs(here - there * cmath.exp(-1j * turn))

@@ -77,13 +77,10 @@ def with_wind(grid: Grid, buses: Sequence[int] = ()) -> Grid:
                 taken_mw += dispatch_mw[bus]
         chosen = chosen or [slack]
     replaced = tuple(bus for bus in chosen if bus != slack)
-    left = [machine for machine in case.machines if machine.bus not in replaced and machine.governor is not None]
-    if not left:
+    if not any(machine.governor is not None and machine.bus not in replaced for machine in case.machines):
         raise ValueError("a machine with a governor has to stay")
     dispatch_mw[slack] *= SHARE
     turbine_mw = TurbineParameters().rated_power_mw
     sizes = {bus: max(1.0, round(OVER * dispatch_mw[bus] / turbine_mw)) for bus in chosen}
-    groups = tuple(
-        solved_case.made(f"turbines at bus {bus}", WtgGroup, bus=bus, n_turbines=size) for bus, size in sizes.items()
-    )
-    return replace(grid, groups=groups, replaced=replaced)
+    groups = [solved_case.made(f"turbines at bus {bus}", WtgGroup, bus=bus, n_turbines=n) for bus, n in sizes.items()]
+    return replace(grid, groups=tuple(groups), replaced=replaced)

@@ -12,6 +12,7 @@ import numpy as np
 
 from wtg_gym.physics import machine_parameters, network, plant
 from wtg_gym.physics.grid import MOST_BUSES, Branch, Bus, Grid, NetworkCase
+from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 
 Key = Hashable
 Record = TypeVar("Record")
@@ -169,13 +170,11 @@ def _take_connected(case: SolvedCase, drop: Collection[str]) -> None:
     import networkx
 
     powers = dict.fromkeys(case.voltages, 0.0)
-    for bus, load in case.loads.items():
-        powers[bus] += abs(load.real)
-    for infeed in case.infeeds:
-        powers[infeed.bus] += abs(infeed.power.real)
+    for bus, power in (*case.loads.items(), *((infeed.bus, infeed.power) for infeed in case.infeeds)):
+        powers[bus] += abs(power.real)
     parts = list(networkx.connected_components(_graph(case)))
     (connected,) = (part for part in parts if case.slack in part)
-    live = [power for part in parts if part is not connected and (power := sum(powers[bus] for bus in part))]
+    live = [mw for part in parts if part is not connected and (mw := sum(powers[bus] for bus in part))]
     refuse_unread({"island": (len(live), sum(live))}, drop, case.notes)
     apart = [key for key in case.voltages if key not in connected]
     if apart and not live:
@@ -227,10 +226,8 @@ def _numbers(case: SolvedCase) -> dict[Key, int]:
     return numbers
 
 
-def _machines(
-    case: SolvedCase, numbers: dict[Key, int], dynamics: Any
-) -> list[machine_parameters.SynchronousMachineParameters]:
-    records = list[machine_parameters.SynchronousMachineParameters]()
+def _machines(case: SolvedCase, numbers: dict[Key, int], dynamics: Any) -> list[SynchronousMachineParameters]:
+    records: list[SynchronousMachineParameters] = []
     buses = {infeed.bus for infeed in case.infeeds if infeed.role == "machine"}
     for infeed in case.infeeds:
         number, slack, record = numbers[infeed.bus], infeed.bus == case.slack, None
@@ -284,11 +281,11 @@ TYPICAL_GOVERNOR = machine_parameters.GovernorParameters(droop_pu=0.05)
 
 def typical_machine(
     bus: int, power: complex = 0j, least: float = _LEAST_MVA, *, slack: bool = False
-) -> machine_parameters.SynchronousMachineParameters:
+) -> SynchronousMachineParameters:
     """Return a machine that gives a power [MW + j Mvar], of a least rating [MVA]; without active power a condenser."""
     governed = power.real > 0.0 or slack
     values: dict[str, Any] = {"dispatch_mw": power.real, "damping_pu": 0.0, **_REACTANCES, **_TIMES}
-    return machine_parameters.SynchronousMachineParameters(
+    return SynchronousMachineParameters(
         **values,
         bus=bus,
         rating_mva=max(_MARGIN * abs(power), least, _LEAST_MVA),
@@ -301,7 +298,7 @@ def typical_machine(
 
 
 def _network_case(
-    case: SolvedCase, numbers: dict[Key, int], machines: list[machine_parameters.SynchronousMachineParameters]
+    case: SolvedCase, numbers: dict[Key, int], machines: list[SynchronousMachineParameters]
 ) -> NetworkCase:
     held = {machine.bus for machine in machines}
     if numbers[case.slack] not in held:

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -11,7 +11,7 @@ from wtg_gym.physics import grid, scenario
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
 from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
-from wtg_gym.ranges import Checked, design, require_known, require_range, required
+from wtg_gym.ranges import Checked, design, require_range, required
 from wtg_gym.scenarios import wind
 
 Line = tuple[int, int]
@@ -242,9 +242,7 @@ class Wind(Record):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (total := self.gust_probability + self.ramp_probability) > 1.0:
-            raise ValueError(
-                f"gust_probability + ramp_probability = {total:g}, at most 1 is allowed: they exclude each other"
-            )
+            raise ValueError(f"gust_probability + ramp_probability = {total:g}; they exclude each other: at most 1")
 
     def draw(self, pick: Picker, draft: Draft) -> None:
         draft.turbulence_intensity = pick.between(self.turbulence_intensity)
@@ -296,11 +294,8 @@ class Wind(Record):
             return
         low, high = self.mean_m_s
         # A twentieth of the range at either end: that many draws at least must fit.
-        margin = 0.05 * (high - low)
-        least, most = (
-            wind.share_of_load([speed] * len(n_turbines), n_turbines, load_mw)
-            for speed in (low + margin, high - margin)
-        )
+        ends = low + 0.05 * (high - low), high - 0.05 * (high - low)
+        least, most = (wind.share_of_load([end] * len(n_turbines), n_turbines, load_mw) for end in ends)
         if most < self.penetration[0] or least > self.penetration[1]:
             raise ValueError(
                 f"these {sum(n_turbines):g} turbines give {100.0 * least:.0f} … {100.0 * most:.0f} % of a load of "
@@ -494,9 +489,7 @@ class SensorDistribution(Checked):
     rocof_noise_hz_s: float = 0.05
     rotor_speed_noise_pu: float = 0.003
     power_noise_pu: float = 0.01
-    wind_bias: float = design(
-        0.01, "-", "standard deviation of each group's; none is larger than 2.5 times this", 0.0, 0.2
-    )
+    wind_bias: float = design(0.01, "-", "standard deviation of each group's; at most 2.5 times this", 0.0, 0.2)
     wind_noise: float = 0.01
     wind_noise_correlation_s: float = 3.0
     wind_sensor: bool = True
@@ -508,21 +501,13 @@ class SensorDistribution(Checked):
         # Checks the values that are the same in every scenario.
         Sensors(**{**vars(self), "seed": 0, "delay_s": 0.0, "wind_bias": (0.0,)})
 
-    def replaced(self, changes: Mapping[str, Any]) -> "SensorDistribution":
-        """Return the distribution with some of its values replaced; a ValueError lists the known names."""
-        require_known("values of the sensors", changes, [field.name for field in fields(self)])
-        return replace(self, **changes)
-
     def delays_s(self) -> list[float]:
         """Return every delay that may be drawn [s]."""
         shortest, longest = (round(delay / DELAY_STEP_S) for delay in self.delay_s)
         return [round(DELAY_STEP_S * steps, 9) for steps in range(shortest, longest + 1)]
 
     def draw_many(self, name: str, seeds: Sequence[int], n_wtg: int) -> list[Sensors]:
-        """Draw the sensors of several seeds; `name` is that of the scenarios' distribution.
-
-        What is drawn scales with the distribution: with twice the `wind_bias`, every bias is twice as large.
-        """
+        """Draw the sensors of seeds; `name` is that of the scenarios' distribution. Biases scale with `wind_bias`."""
         streams = seed_streams(seeds, zlib.crc32(f"{name}/sensors".encode()))
         uniform = np.array([stream.random(2 + 12 * n_wtg) for stream in streams]).reshape(len(seeds), 2 + 12 * n_wtg)
         delays = self.delays_s()

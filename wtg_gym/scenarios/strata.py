@@ -85,12 +85,7 @@ KINDS: Mapping[str, draws.Changes] = {
     },
     # The wind has to supply the load that is left after shedding.
     "machine": {
-        draws.LoadEvents: {
-            "number": (1, 2),
-            "size_mw": (10.0, 30.0),
-            "net_change_mw": 30.0,
-            "increase_probability": 0.5,
-        },
+        draws.LoadEvents: {"number": (1, 2), "size_mw": (10.0, 30.0), "net_change_mw": 30.0},
         draws.Wind: {"ramp_probability": 0.2, "mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.88)},
         draws.MachineOutages: {"probability": 1.0},
     },
@@ -242,10 +237,10 @@ def suite_of_strata(
     is a factor on the load events of every stratum [-]; on other grids these are in per cent of the load, the largest
     at most the loss that the grid is planned for. `changes` replace fields everywhere, `changes_in` in a kind of event.
     """
-    settings, size, of_events = plant["plant"], 1.0, 1.0
-    if plant["grid"] != DEFAULT_GRID:
+    settings, grid, size, of_events = plant["plant"], plant["grid"], 1.0, 1.0
+    if grid != DEFAULT_GRID:
         size = settings.case.load_mw / _LOAD_MW
-        of_events = min(size, get_grid(plant["grid"]).largest_loss_mw / _LARGEST_MW)
+        of_events = min(size, get_grid(grid).largest_loss_mw / _LARGEST_MW)
     of_grid: draws.Changes = {
         draws.LoadEvents: {"buses": places.load_buses, "trip_buses": places.load_trip_buses},
         draws.LoadNoise: {"standard_deviation_mw": round(size, 2), "bus": places.load_noise_bus},
@@ -262,7 +257,7 @@ def suite_of_strata(
             kinds[kind] = distribution.ScenarioDistribution(
                 name=f"{scenarios_of or name}-v1/{kind}",
                 records=_records(layers, event_size * of_events),
-                grid=plant["grid"],
+                grid=grid,
                 last_event_s=_LAST_EVENT_S,
             )
     return suite.Suite(

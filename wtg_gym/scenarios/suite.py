@@ -152,7 +152,6 @@ class Suite:
         self,
         seeds: Sequence[int],
         *,
-        n_wtg: int | None = None,
         n_turbines: Sequence[float] | None = None,
         duration_s: float | None = None,
         sensors: SensorDistribution | EllipsisType | None = ...,
@@ -162,72 +161,64 @@ class Suite:
 
         Args:
             seeds: each of one of the splits.
-            n_wtg: number of WTG groups; None: the suite's own.
-            n_turbines: turbines per group, shape (n_wtg,), see :meth:`ScenarioDistribution.draw_many`; fixed cases have
-                no turbulence to average.
+            n_turbines: turbines of each WTG group, see :meth:`ScenarioDistribution.draw_many`; None: those of `plant`.
             duration_s: length of the run [s]; None: the suite's own.
             sensors: replaces the suite's own; None measures exactly.
-            plant: plant whose WTG groups reserve margins are computed for; None: the suite's, with `n_wtg` groups at
-                the bus of the first.
+            plant: plant whose WTG groups reserve margins are computed for; None: the suite's, with as many groups as
+                `n_turbines` at the bus of the first.
         """
         splits = [self.seeds(split) for split in SPLITS]
         for seed in seeds:
             if not is_whole(seed) or not any(int(seed) in split for split in splits):
                 raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")
         duration = self.duration_s if duration_s is None else duration_s
-        if n_wtg is None:
-            n_wtg = len(self.plant.groups)
-            if n_turbines is None:
-                # As many of the default turbines as give what a group's own do.
-                rated_mw, groups = TurbineParameters().rated_power_mw, self.plant.groups
-                n_turbines = [
-                    g.n_turbines * (g.turbine.rated_power_mw / rated_mw if g.turbine else 1.0) for g in groups
-                ]
+        if n_turbines is None:
+            n_turbines = self.default_turbines(plant or self.plant)
         if self.drawn_from:
-            if plant is None and n_wtg != len(self.plant.groups):
-                plant = self.plant.replaced(groups=n_wtg)
-            scenarios = self._drawn_scenarios(seeds, n_wtg, n_turbines, duration, self._margins_in(plant))
+            if plant is None and len(n_turbines) != len(self.plant.groups):
+                plant = self.plant.replaced(groups=len(n_turbines))
+            scenarios = self._drawn_scenarios(seeds, n_turbines, duration, self._margins_in(plant))
         else:
-            scenarios = self._fixed_scenarios(seeds, n_wtg, n_turbines, duration)
+            scenarios = self._fixed_scenarios(seeds, len(n_turbines), duration)
         measuring = self.sensors if sensors is ... else sensors
         if measuring is None:
             return scenarios
         # Suites that share all but the sensors draw the errors alike.
         name = self.name if self.cases else self.distributions[0].name.partition("/")[0]
-        errors = measuring.draw_many(name, seeds, n_wtg)
+        errors = measuring.draw_many(name, seeds, len(n_turbines))
         return [_with(scenario, sensors=error) for scenario, error in zip(scenarios, errors, strict=True)]
 
+    def default_turbines(self, plant: Plant) -> list[float]:
+        """Return as many of the default turbines as give what those of each group do; v0 counts them as they are."""
+        rated_mw, counts = TurbineParameters().rated_power_mw, [float(group.n_turbines) for group in plant.groups]
+        if self.task is V0:
+            return counts
+        ratings = [group.turbine.rated_power_mw if group.turbine else rated_mw for group in plant.groups]
+        return [n * (rating / rated_mw) for n, rating in zip(counts, ratings, strict=True)]
+
     def _drawn_scenarios(
-        self,
-        seeds: Sequence[int],
-        n_wtg: int,
-        n_turbines: Sequence[float] | None,
-        duration_s: float,
-        margins: ReserveMargin,
+        self, seeds: Sequence[int], n_turbines: Sequence[float], duration_s: float, margins: ReserveMargin
     ) -> list[Scenario]:
         accepted: dict[int, Scenario] = {}
         missing = list(range(len(seeds)))
         for attempt in range(_MOST_ATTEMPTS):
             # Episodes shorter than the suite's may end before any event can leave so little: then the last draw counts.
             takes_any = attempt == _MOST_ATTEMPTS - 1 and duration_s < self.duration_s
+            suited = partial(self._suited, margins=margins, takes_any=takes_any)
             by_distribution: dict[str, list[int]] = {}
             for place in missing:
                 by_distribution.setdefault(self._distribution(seeds[place], attempt).name, []).append(place)
             for places in by_distribution.values():
                 of_seeds = [seeds[place] for place in places]
                 distribution = self._distribution(of_seeds[0], attempt)
-                suited = partial(self._suited, margins=margins, takes_any=takes_any)
-                drawn = distribution.draw_suited(of_seeds, n_wtg, n_turbines, duration_s, attempt, suited)
-                with_places = zip(places, drawn, strict=True)
-                accepted.update((place, scenario) for place, scenario in with_places if scenario is not None)
+                drawn = distribution.draw_suited(of_seeds, len(n_turbines), n_turbines, duration_s, attempt, suited)
+                accepted.update({p: each for p, each in zip(places, drawn, strict=True) if each is not None})
             missing = [place for place in missing if place not in accepted]
             if not missing:
                 return [accepted[place] for place in range(len(seeds))]
-        seed = seeds[missing[0]]
-        raise ValueError(
-            f"suite {self.name!r}: none of {_MOST_ATTEMPTS} scenarios of seed {seed} has the reserve margin of its "
-            f"stratum {self.stratum(seed)!r}, {self.margins[self.stratum(seed)]}"
-        )
+        stratum = self.stratum(seeds[missing[0]])
+        what = f"suite {self.name!r}: none of {_MOST_ATTEMPTS} scenarios of seed {seeds[missing[0]]} has"
+        raise ValueError(f"{what} the reserve margin of its stratum {stratum!r}, {self.margins[stratum]}")
 
     def _suited(self, scenario: Scenario, margins: ReserveMargin, takes_any: bool) -> Scenario | None:
         """Return a drawn scenario with its margin, None where that is not one of its stratum and must be."""
@@ -239,12 +230,8 @@ class Suite:
         margin = margins.of(scenario, -math.inf if takes_any else low)
         return _with(scenario, reserve_margin=margin) if takes_any or low <= margin < high else None
 
-    def _fixed_scenarios(
-        self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
-    ) -> list[Scenario]:
-        n_wtg = require_whole("n_wtg", n_wtg, 1)
-        if n_turbines is not None and len(n_turbines) != n_wtg:
-            raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(n_turbines)}")
+    def _fixed_scenarios(self, seeds: Sequence[int], n_wtg: int, duration_s: float) -> list[Scenario]:
+        require_whole("number of values of n_turbines", n_wtg, 1)
         cases = [self.cases[int(seed)] for seed in seeds]
         return [
             Scenario(

@@ -198,7 +198,6 @@ _SUITES = (
 #: Every suite by its name.
 SUITES: Mapping[str, Suite] = MappingProxyType({suite.name: suite for suite in _SUITES})
 
-#: The default suite.
 DEFAULT_SUITE = "standard-v1"
 #: The hashes that the suites must have.
 FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
@@ -234,10 +233,7 @@ def suite_of_grid(grid: str) -> str:
 
 
 def get_suite(name: str) -> Suite:
-    """Return a suite by its name, or by the path of its file or of a grid's, which ends in ".json".
-
-    A ValueError says that the suite is unknown, or the file is damaged.
-    """
+    """Return a suite by its name, or the path of its file or a grid's, a .json; a ValueError says why there is none."""
     if isinstance(name, str) and name.endswith(".json"):
         suite = grid_suite.suite_of_file(name)
         if suite.name in FROZEN_HASHES and suite.hash != FROZEN_HASHES[suite.name]:

@@ -27,7 +27,6 @@ from wtg_gym.ranges import require_count, require_range
 TURBULENCE_SCALE_M = 42.0
 #: Integral length scale of the Kaimal spectrum, and coherence scale L_c, both 8.1 Λ1 [m] (annex B).
 LENGTH_SCALE_M = 8.1 * TURBULENCE_SCALE_M
-#: Rotor radius [m].
 ROTOR_RADIUS_M = TurbineParameters().blade_radius_m
 #: Distance between the turbines of a group: seven rotor diameters [m].
 TURBINE_SPACING_M = 14.0 * ROTOR_RADIUS_M
@@ -98,10 +97,8 @@ def group_filter(frequency_hz: Floats, mean_wind_m_s: float, n_turbines: float) 
 
 
 def period_length(n_samples: int) -> int:
-    """Return the number of samples of the period that a synthesised series is cut from.
-
-    Twice the series at least, because one as long as its period would end where it began; of a quick transform.
-    """
+    """Return the number of samples of the period that a synthesised series is cut from, of a quick transform."""
+    # Twice the series at least: one as long as its period would end where it began.
     length: int = 2 * next_fast_len(n_samples, real=True)
     return length
 
@@ -208,11 +205,10 @@ def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = No
 
 def _parse(raw: bytes, duration_s: float | None) -> tuple[Floats, float]:
     try:
-        text = raw.decode("utf-8-sig")
+        text = raw.decode("utf-8-sig").rstrip()
     except UnicodeDecodeError as error:
         line, bad = raw.count(b"\n", 0, error.start) + 1, raw[error.start]
         raise ValueError(f"line {line}: byte 0x{bad:02x} is not UTF-8; expected text: {_FORMAT}") from error
-    text = text.rstrip()
     require_count("the table", text.count("\n"), _MOST_ROWS)
     first, *lines = text.split("\n")
     require_count("line 1", first.count(",") + 1, MOST_GROUPS + 1)
@@ -229,10 +225,8 @@ def _parse(raw: bytes, duration_s: float | None) -> tuple[Floats, float]:
     duration_s = require_range("duration_s", duration_s, dt_s, 1e9, "s")
     n_samples = math.ceil(duration_s / dt_s - 1e-6) + 1
     if n_samples > len(lines):
-        raise ValueError(
-            f"line {len(lines) + 1}: the series ends after {(len(lines) - 1) * dt_s:g} s, "
-            f"at least {duration_s:g} s ({n_samples} rows of {dt_s:g} s) are needed"
-        )
+        what = f"line {len(lines) + 1}: the series ends after {(len(lines) - 1) * dt_s:g} s"
+        raise ValueError(f"{what}, at least {duration_s:g} s ({n_samples} rows of {dt_s:g} s) are needed")
     return wind[:, :n_samples].copy(), dt_s
 
 

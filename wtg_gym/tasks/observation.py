@@ -186,9 +186,8 @@ def add_torque(total_torque: float, output_torque: float) -> float:
 def observe_grid(
     coi: float, task_rocof: float, total_torque: float, inv_torque: float, task: TaskConstants
 ) -> GridObservation:
-    return bounded(
-        GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, task_rocof, inv_torque * total_torque)
-    )
+    deviation = (coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ
+    return bounded(GridObservation(deviation, task_rocof, inv_torque * total_torque))
 
 
 class Info(NamedTuple):
