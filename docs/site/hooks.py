@@ -7,8 +7,6 @@
 - `<!-- include FILE.py -->` becomes the program beside the page.
 """
 
-from __future__ import annotations
-
 import posixpath
 import re
 from pathlib import Path
