@@ -60,15 +60,11 @@ def row(path: Path) -> list[str]:
     return cells
 
 
-def main() -> None:
+if __name__ == "__main__":
     given = [Path(name) for name in sys.argv[1:]]
     files = [file for path in given for file in ([path] if path.is_file() else sorted(path.rglob("*")))]
     print("| file | buses | voltage [p.u.] | angle [rad] | load [MW] | 20 s at rest [Hz] | started / redrawn |")
     print("| --- " * 7 + "|")
-    for path in files:
-        if path.suffix.lower() in ENDINGS and path.is_file():
-            print(f"| {' | '.join(row(path))} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+    for file in files:
+        if file.suffix.lower() in ENDINGS and file.is_file():
+            print(f"| {' | '.join(row(file))} |", flush=True)

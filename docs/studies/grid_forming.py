@@ -1,7 +1,7 @@
 """For docs/grid-forming.md: the tests that operators ask of grid-forming plants, entries × tests, and a picture."""
 
 from matplotlib.lines import Line2D
-from output import folder
+from output import DOCS
 
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, run_grid_test
 from wtg_gym.files import markdown_table, update_between_markers
@@ -84,18 +84,13 @@ def picture(runs):
     return figure
 
 
-def main(docs):
-    """Play all entries, and renew tables and picture."""
+if __name__ == "__main__":
     runs = {}
     for spec in (*LAWS, *TUNED):
         entry = load_entries(spec)[0]
         runs[entry.name] = {test.name: run_grid_test(test, entry) for test in GRID_TESTS.values()}
         print(entry.name, *(verdict for _, verdict in runs[entry.name].values()), sep="\n  ", flush=True)
-    page = docs / "grid-forming.md"
+    page = DOCS / "grid-forming.md"
     update_between_markers(page, described(), "tests")
     update_between_markers(page, verdicts(runs), "verdicts")
-    save_figure(picture({name: runs[name] for name in DRAWN}), docs / "physics" / "grid-forming", ("svg",))
-
-
-if __name__ == "__main__":
-    main(folder(__doc__))
+    save_figure(picture({name: runs[name] for name in DRAWN}), DOCS / "physics" / "grid-forming", ("svg",))

@@ -1,11 +1,9 @@
 """For docs/benchmark.md: cost and bad runs over the reserve margin, and the table of the strata."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
-from output import folder as output_folder
+from output import DOCS
 
 from wtg_gym.evaluation import evaluate
 from wtg_gym.files import markdown_table, update_between_markers
@@ -34,15 +32,10 @@ def strata(entries: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], see
     return markdown_table(("stratum", "reserve margin", "kinds of event", "J0", "median cost", "bad runs"), rows)
 
 
-def main() -> None:
-    docs = output_folder(__doc__)
+if __name__ == "__main__":
     suite = get_suite(SUITE)
     results = evaluate(list(ENTRIES), SUITE, "validation")
     entries = over_margin(results)
-    save_figure(plot_over_margin(entries, suite.task.hundred), docs / "images/margin", ["svg"])
+    save_figure(plot_over_margin(entries, suite.task.hundred), DOCS / "images/margin", ["svg"])
     table = strata(entries, list(results.seeds), suite.task.hundred)
-    update_between_markers(docs / "benchmark.md", table, "strata")
-
-
-if __name__ == "__main__":
-    main()
+    update_between_markers(DOCS / "benchmark.md", table, "strata")

@@ -4,8 +4,6 @@ Stores gfmwtg/VERSION/POLICY-v0 in the folder MINARI_DATASETS_PATH, or in Minari
 Episode i is what `reset(seed=i)` draws. The same command gives the same data. Needs the extra `data`.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import itertools

@@ -1,7 +1,7 @@
 """For docs/physics.md: the paper's conclusions in its own plant, and in plants with more physics; some minutes."""
 
 import numpy as np
-from output import folder
+from output import DOCS
 
 from wtg_gym.envs.batch import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
@@ -87,17 +87,12 @@ def verdicts(plant, increase, decrease):
     yield (rise < least).all(), " to ".join(texts) + note
 
 
-def main(docs):
-    """Renew the page and its picture."""
+if __name__ == "__main__":
     increases = {name: case_study(INCREASE, plant) for name, plant in PLANTS.items()}
     columns = []
     for name, plant in PLANTS.items():
         results = verdicts(plant, increases[name], case_study(DECREASE, plant))
         columns.append([f"{'yes' if holds else '**no**'}: {text}" for holds, text in results])
     rows = list(zip(CONCLUSIONS, *columns, strict=True))
-    save_figure(plot_trajectories(increases["extended"], INCREASE), docs / "physics" / "load-increase", ["svg"])
-    update_between_markers(docs / "physics.md", markdown_table(("the paper concludes", *PLANTS), rows), "survival")
-
-
-if __name__ == "__main__":
-    main(folder(__doc__))
+    save_figure(plot_trajectories(increases["extended"], INCREASE), DOCS / "physics" / "load-increase", ["svg"])
+    update_between_markers(DOCS / "physics.md", markdown_table(("the paper concludes", *PLANTS), rows), "survival")
