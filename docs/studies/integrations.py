@@ -19,19 +19,15 @@ _HEAD = re.compile(r"\A# /// script\n(.*?)^# ///\n", re.MULTILINE | re.DOTALL)
 _LIMIT_S = 900
 
 
-def packages_of(program: Path) -> list[str]:
-    """Return what a program's head names."""
-    head = _HEAD.match(program.read_text(encoding="utf-8"))
-    assert head is not None, f"{program} has no head"
-    return tomllib.loads(head[1].replace("# ", ""))["dependencies"]
-
-
 def run(program: Path) -> None:
     """Run a program in a new environment and a folder of its own; an error of `subprocess` says why not."""
+    head = _HEAD.match(program.read_text(encoding="utf-8"))
+    assert head is not None, f"{program} has no head"
+    packages = tomllib.loads(head[1].replace("# ", ""))["dependencies"]
     scripts = ROOT / "build" / "integrations" / program.stem / "bin"
     venv.create(scripts.parent, with_pip=True, clear=True)
     pip = [scripts / "pip", "install", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, "--editable", str(ROOT), *packages_of(program)], check=True)
+    subprocess.run([*pip, "--editable", str(ROOT), *packages], check=True)
     command = ["python", str(program)] if program.suffix == ".py" else ["bash", "-eu", str(program)]
     with tempfile.TemporaryDirectory() as folder:
         variables = {**os.environ, "PATH": f"{scripts}:/usr/bin:/bin", "MINARI_DATASETS_PATH": folder}

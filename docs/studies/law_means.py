@@ -48,17 +48,14 @@ def law_means(name, n_fresh=0):
     with ProcessPoolExecutor() as pool:
         x = np.concatenate(list(pool.map(gains_of, itertools.repeat(name), parts)))
     of = np.array([suite.stratum(seed) for seed in seeds])
+    by_stratum = {stratum: x[of == stratum] for stratum in suite.strata}
     return {
         "suite_hash": suite.hash,
         "settings": settings_hash(shared_settings(EnvSettings(suite=name))),
         "laws": list(suite.task.variates),
         "strata": {
-            stratum: {
-                "n": int((of == stratum).sum()),
-                "mean": x[of == stratum].mean(axis=0).tolist(),
-                "covariance": np.atleast_2d(np.cov(x[of == stratum].T)).tolist(),
-            }
-            for stratum in suite.strata
+            name: {"n": len(x), "mean": x.mean(axis=0).tolist(), "covariance": np.atleast_2d(np.cov(x.T)).tolist()}
+            for name, x in by_stratum.items()
         },
     }
 
@@ -67,9 +64,7 @@ if __name__ == "__main__":
     suites = [name for name, suite in SUITES.items() if suite.task is V1 and suite.strata]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("suites", nargs="*", default=suites, metavar="SUITE")
-    parser.add_argument(
-        "--fresh", type=int, default=0, metavar="N", help="play N other scenarios and compare, writing nothing"
-    )
+    parser.add_argument("--fresh", type=int, default=0, metavar="N", help="compare N other scenarios, write nothing")
     arguments = parser.parse_args()
     for name in arguments.suites:
         means = law_means(name, arguments.fresh)

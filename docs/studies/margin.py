@@ -27,8 +27,8 @@ def strata(entries: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], see
         upper = f"… {100.0 * high:.0f} %" if np.isfinite(high) else "% and more"
         median = float(np.median(costs[chosen])) - offset
         events = ", ".join(draw.name.rpartition("/")[2] for draw in suite.drawn_from[name])
-        share = f"{100.0 * float(bad[chosen].mean()):.0f} %"
-        rows.append([name, f"{100.0 * low:.0f} {upper}", events, f"{offset:g}", f"{median:.0f}", share])
+        values = f"{offset:g}", f"{median:.0f}", f"{100.0 * float(bad[chosen].mean()):.0f} %"
+        rows.append([name, f"{100.0 * low:.0f} {upper}", events, *values])
     return markdown_table(("stratum", "reserve margin", "kinds of event", "J0", "median cost", "bad runs"), rows)
 
 

@@ -63,9 +63,7 @@ def on_suite(suite: str) -> Results:
     return results
 
 
-def played(
-    entries: Sequence[Entry], results: Results, change: Callable[[Scenario], Scenario] = lambda scenario: scenario
-) -> Results:
+def played(entries: Sequence[Entry], results: Results, change=lambda scenario: scenario) -> Results:
     """Return results in which the same entries have played the same test scenarios of `OWN`, each changed."""
     scenarios = [change(scenario) for scenario in get_suite(OWN).scenarios(results.seeds)]
     settings = EnvSettings(suite=OWN, split="test")

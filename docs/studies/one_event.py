@@ -30,10 +30,11 @@ from wtg_gym.scenarios import get_suite
 SUITE, N_SCENARIOS = "standard-v1", 150
 #: A law whose support ends where its rotor stalls.
 DROOP = "deloaded-5"
+Runs = Mapping[str, Recorded]
 
 
 @style.printed
-def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plant) -> Figure:
+def plot_one_event(scenario: Scenario, runs: Runs, plant: Plant) -> Figure:
     """Draw the worst unit's frequency, power of all turbines, slowest rotor and load not served over time.
 
     A cross marks where the grid was lost, if it lies in the panel. Grey lines: limits, and where load is shed first.
@@ -85,9 +86,7 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
 
 
 @style.printed
-def plot_energy(
-    scenario: Scenario, runs: Mapping[str, Recorded], of_strata: Mapping[str, Mapping[str, Recorded]]
-) -> Figure:
+def plot_energy(scenario: Scenario, runs: Runs, of_strata: Mapping[str, Runs]) -> Figure:
     """Draw the energy that the rotors of each group have lent in a scenario, and all of them on average in strata."""
     figure, looks = style.new_figure(style.DOUBLE_COLUMN_MM, 110.0), style.law_looks(runs)
     panels = figure.subplots(2, 2, sharex=True, sharey="row")

@@ -47,9 +47,6 @@ ANGULAR_FREQUENCY = 2.0 * math.pi * NOMINAL_HZ
 TEXTS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
-# --- steady states ----------------------------------------------------------------------------------------------------
-
-
 class OperatingPoint(NamedTuple):
     """A steady state of one WTG."""
 
@@ -185,17 +182,6 @@ def characteristic(law):
     return figure
 
 
-# --- single-machine loops ---------------------------------------------------------------------------------------------
-
-
-class Margins(NamedTuple):
-    """Stability of a closed loop."""
-
-    phase_margin_deg: float  # smallest over all gain crossovers; NaN where the loop is unstable
-    crossover_rad_s: float  # the gain crossover at which it is found
-    stable: bool  # all poles of the closed loop lie in the left half plane
-
-
 class Loop(NamedTuple):
     """An open loop G(s)."""
 
@@ -211,17 +197,17 @@ class Loop(NamedTuple):
         """Return the zeros of 1 + G(s) [1/s]."""
         return (self.numerator + self.denominator).roots().astype(np.complex128)
 
-    def margins(self):
-        """Return the stability margins; crossovers are roots of a polynomial, so that none is missed."""
-        numerator, denominator = (squared(part) for part in (self.numerator, self.denominator))
-        roots = (numerator - denominator).trim().roots().astype(np.complex128)
+    def phase_margin_deg(self):
+        """Return the smallest phase margin over all gain crossovers; NaN where the closed loop is unstable.
+
+        Crossovers are roots of a polynomial, so that none is missed.
+        """
+        if (self.closed_loop_poles().real >= 0.0).any():
+            return math.nan
+        roots = (squared(self.numerator) - squared(self.denominator)).trim().roots().astype(np.complex128)
         real = (np.abs(roots.imag) < 1e-7 * np.maximum(np.abs(roots), 1e-12)) & (roots.real > 1e-9)
-        crossovers = np.sort(roots.real[real])
         # The loop's phase lies between -90° and -270° there: measured from -180°, upwards.
-        phases = np.degrees(np.angle(-self.response(crossovers)))
-        margin, crossover = min(zip(phases.tolist(), crossovers.tolist(), strict=True), default=(math.inf, math.nan))
-        stable = bool((self.closed_loop_poles().real < 0.0).all())
-        return Margins(margin if stable else math.nan, crossover, stable)
+        return float(np.degrees(np.angle(-self.response(roots.real[real]))).min(initial=math.inf))
 
 
 def squared(part):
@@ -259,9 +245,6 @@ def ideal_source_loop(control=CONTROL):
     """Return the loop of grid-forming control on an ideal DC source, without rotor and wind (paper, G_GFM)."""
     numerator = Polynomial([ANGULAR_FREQUENCY * K_P])
     return Loop(numerator, Polynomial([0.0, control.droop_gain_pu, 2.0 * control.inertia_constant_s]))
-
-
-# --- claims -----------------------------------------------------------------------------------------------------------
 
 
 def claim(key, holds, **values):
@@ -338,17 +321,14 @@ def coordination():
 def share_error(control, wind_m_s):
     """Return how far the captured shares at ω_min, ω_st and ω_max are from 100, 95 and 90 %."""
     law, available = LAWS[REFERENCE_LAW], float(available_power_pu(wind_m_s))
-    wanted = zip(CORNERS, (1.0, 0.95, 0.90), strict=True)
-    return max(
-        abs(equilibria(frequency, law, wind_m_s, control=control)[-1].power_pu / available - share)
-        for frequency, share in wanted
-    )
+    shares = [equilibria(frequency, law, wind_m_s, control)[-1].power_pu / available for frequency in CORNERS]
+    return float(np.abs(np.subtract(shares, (1.0, 0.95, 0.90))).max())
 
 
 def stability():
     laws = (*(LAWS[name] for name in COMPARED[1:]), LINEAR, UNDAMPED)
-    ideal = ideal_source_loop().margins().phase_margin_deg
-    *deloaded, damped, undamped = (single_machine(law, WINDS[0]).margins().phase_margin_deg for law in laws)
+    ideal = ideal_source_loop().phase_margin_deg()
+    *deloaded, damped, undamped = (single_machine(law, WINDS[0]).phase_margin_deg() for law in laws)
     yield near("pm-ideal", "pm_deg", ideal)
     yield claim("pm-deloaded", max(abs(margin - ideal) for margin in deloaded) <= 3.0, pm_deg=deloaded)
     yield near("pm-undamped", "pm_deg", undamped)
@@ -358,10 +338,10 @@ def stability():
     for gain, inertia in itertools.product((12.5, 25.0, 62.5, 125.0), (0.5, 2.0, 5.0, 10.0)):
         control = GridFormingParameters(droop_gain_pu=gain, inertia_constant_s=inertia)
         errors += [share_error(control, wind) for wind in winds]
-        ideal = ideal_source_loop(control).margins().phase_margin_deg
+        ideal = ideal_source_loop(control).phase_margin_deg()
         for wind, side in itertools.product(winds, ("under", "over")):
-            margins = single_machine(law, wind, side=side, control=control).margins()
-            differences.append(margins.phase_margin_deg - ideal)
+            loop = single_machine(law, wind, side=side, control=control)
+            differences.append(loop.phase_margin_deg() - ideal)
         # The stiffest droop on the least inertia is too fast for steps of 25 ms.
         run = simulate(get_suite("paper").scenario(0), law, Plant(control=control, simulation_dt=0.005))
         completed.append(run.status == Status.RUNNING)
@@ -388,12 +368,11 @@ def load_increase(runs):
     high = [float(runs[name].rotor_speed_pu[-1, 0]) for name in deloaded]
     yield claim("right-of-mpp", min(high) > 1.0, rotor_speed_pu=high)
     # The first event comes at 5 s, the second at 30 s.
-    n = [int((run.time_s < 30.0).sum()) for run in compared]
-    rotor = [run.rotor_speed_pu[:end] for run, end in zip(compared, n, strict=True)]
-    peak = [float(run.power_pu[:end, 0].max()) for run, end in zip(compared, n, strict=True)]
+    rotor = [run.rotor_speed_pu[run.time_s < 30.0] for run in compared]
+    peak = [float(run.power_pu[run.time_s < 30.0, 0].max()) for run in compared]
     fall = [float(run.rotor_speed_pu[0, 0] - np.interp(6.0, run.time_s, run.rotor_speed_pu[:, 0])) for run in compared]
     rocof = [-float(np.interp(5.5, run.time_s, run.rocof_hz_s(0.5))) for run in compared]
-    nadir = [float(run.frequency_hz[:end].min()) for run, end in zip(compared, n, strict=True)]
+    nadir = [float(run.frequency_hz[run.time_s < 30.0].min()) for run in compared]
     yield claim("larger-step", peak[0] > max(peak[1:]), peak_power_pu=peak)
     yield claim("faster-rotor", fall[0] > max(fall[1:]), fall_pu=fall)
     yield claim("rocof", rocof[0] < min(rocof[1:]), rocof_hz_s=rocof)

@@ -121,11 +121,8 @@ if __name__ == "__main__":
         print(f"preparing {name}", flush=True)
         steppers[name] = make()
         steppers[name][0]()
-    rates = {name: [] for name in steppers}
-    for _ in range(REPEATS):
-        for name, stepper in steppers.items():
-            rates[name].append(rate(*stepper[:2]))
-    medians = {name: statistics.median(repeats) for name, repeats in rates.items()}
+    turns = [{name: rate(*stepper[:2]) for name, stepper in steppers.items()} for _ in range(REPEATS)]
+    medians = {name: statistics.median(turn[name] for turn in turns) for name in steppers}
     rows = [
         (name, f"{median:,.0f}", f"{median / medians[YARDSTICK]:.2g}", f"{median * steppers[name][2]:,.0f}")
         for name, median in medians.items()

@@ -50,17 +50,10 @@ def playing(suite: str, n_scenarios: int, n_candidates: int, **settings) -> EnvB
     return EnvBatch(of_env, n_scenarios * n_candidates)
 
 
-def objectives(
-    batch: EnvBatch,
-    scenarios: Sequence[Scenario],
-    laws: Sequence[TrackingLaw] | None = None,
-    act: Callable[[MeasuredObservation], Floats] | None = None,
-) -> Floats:
+def objectives(batch: EnvBatch, scenarios: Sequence[Scenario], laws=None, act=None) -> Floats:
     """Return ln(J + J0) / Λ of each candidate, mean over the scenarios, (n_candidates,): it decides the score.
 
     Args:
-        batch: that of :func:`playing`.
-        scenarios: training scenarios, as many as the batch has for each candidate.
         laws: the law of each candidate; None: that of the settings.
         act: actions (n_candidates, n_scenarios, n_wtg, n_action) by what the groups observe, each number an array
             (n_candidates, n_scenarios, n_wtg); None: zeros.
@@ -107,11 +100,11 @@ def tuning_of(law: TrackingLaw) -> Tuning:
 
 
 def tune_law(
-    suite: str, capped: bool, n_scenarios: int = N_SCENARIOS, generations: int = 18, population: int = 12, seed: int = 1
+    suite: str, capped: bool, n_scenarios: int = N_SCENARIOS, generations: int = 18, population: int = 12
 ) -> TrackingLaw:
     """Return the law that scores most."""
     first = int(capped)
-    search = Search(np.array(_START[first:]), 0.3, population, seed, bounds=[side[first:] for side in _BOUNDS])
+    search = Search(np.array(_START[first:]), 0.3, population, 1, bounds=[side[first:] for side in _BOUNDS])
     with contextlib.closing(playing(suite, n_scenarios, population)) as batch:
         scenarios = batch.scenarios(batch.suite.train[:n_scenarios])
 
@@ -153,13 +146,13 @@ def distilled(suite: str, teacher: str = "dagger-v1-2", n_scenarios: int = N_SCE
 
 
 def tune_gains(
-    suite: str, start: Gains, n_scenarios: int = 600, generations: int = 24, population: int = 8, seed: int = 1
+    suite: str, start: Gains, n_scenarios: int = 600, generations: int = 24, population: int = 8
 ) -> tuple[Gains, float]:
     """Return the numbers of distilled-law that score most, and what they cost in the logarithm of the score.
 
     The law beneath was tuned on other scenarios.
     """
-    search = Search(np.array(start) / _GAIN_STEPS, 0.1, population, seed)
+    search = Search(np.array(start) / _GAIN_STEPS, 0.1, population, 1)
     played = playing(suite, n_scenarios, population, strategy="coordinated-free", action_mode="k")
     with contextlib.closing(played) as batch:
         scenarios = batch.scenarios(batch.suite.train[N_SCENARIOS : N_SCENARIOS + n_scenarios])

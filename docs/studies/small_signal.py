@@ -91,11 +91,11 @@ def margins_table():
         cells, sides = [], tuple(SIDES) if law.k_min != law.k_max else ("under",)
         for wind in WINDS:
             on_bus, of_poles = zip(*(compare(law, wind, side, alone) for side in sides), strict=True)
-            margins = [single_machine(law, wind, float(in_system[wind]), side).margins() for side in sides]
+            loops = [single_machine(law, wind, float(in_system[wind]), side) for side in sides]
             differences += of_poles
             coefficients.append((on_bus[0], in_system[wind]))
             # One number where the slopes of g(ω) do not differ.
-            cells.append(" / ".join(dict.fromkeys(f"{margin.phase_margin_deg:.1f}" for margin in margins)))
+            cells.append(" / ".join(dict.fromkeys(f"{loop.phase_margin_deg():.1f}" for loop in loops)))
         rows.append((law.name, *cells))
     (least, least_system), (most, most_system) = np.min(coefficients, axis=0), np.max(coefficients, axis=0)
     header = ("margin in the 14-bus system [°]", *(f"{wind:g} m/s" for wind in WINDS))

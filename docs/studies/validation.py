@@ -132,8 +132,7 @@ def draw(results):
         axes.set_xticks([], minor=True)
         axes.set_xlabel("step [ms]")
         axes.set_ylabel(f"error of {quantity} [{QUANTITIES[quantity]}]")
-    handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
