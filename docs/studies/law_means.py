@@ -25,9 +25,7 @@ from wtg_gym.files import to_json, write_atomically
 from wtg_gym.scenarios import SUITES, get_suite
 from wtg_gym.tasks import V1
 
-N_SCENARIOS = 24_000
-#: Scenarios that a process plays at a time.
-_AT_ONCE = 600
+N_SCENARIOS, _AT_ONCE = 24_000, 600  # of a suite, and of a process at a time
 
 
 def gains_of(name, seeds):

@@ -445,5 +445,3 @@ if __name__ == "__main__":
     claims = list(paper_claims(*cases))
     draw(cases, DOCS / "validation" / "figures")
     update_between_markers(DOCS / "validation.md", claims_table(claims), "claims")
-    for claim in claims:
-        print(f"{'holds' if claim['holds'] else 'DOES NOT HOLD'}  {claim['key']}: {claim['measured']}")
