@@ -18,7 +18,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from integrations import packages_of, programs
+from integrations import PROGRAMS, packages_of
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -112,7 +112,7 @@ def test_notebook_was_run_from_top_to_bottom_without_an_error_and_its_commands_a
 
 def test_every_program_of_another_library_is_on_its_page_and_names_its_packages():
     page = (ROOT / "docs/integrations.md").read_text(encoding="utf-8")
-    assert all(f"(integrations/{program.name})" in page and packages_of(program) for program in programs())
+    assert all(f"(integrations/{program.name})" in page and packages_of(program) for program in PROGRAMS)
 
 
 def anchors(page: Path) -> set[str]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from wtg_gym.physics.devices import Devices
 from wtg_gym.physics.units import ENV, UNITS, Connection, Phasor, Terminal, moving, quotient
 from wtg_gym.systems.elementary import clip, select, sine_cosine
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.systems import Kind, setting, system
 from wtg_gym.tasks.cost import COST, CostTerms
 
 
@@ -46,12 +46,6 @@ BATTERIES = Kind(
     sees={"unit": UNITS, "env": ENV, "cost": COST},
     states=("charge",),
 )
-
-
-@system(BATTERIES, "planned_power")
-def plan() -> float:
-    """Its power before the first step."""
-    return 0.0
 
 
 @system(BATTERIES, "charge", "emf", "connected")
@@ -118,7 +112,7 @@ def batteries(*buses: int, energy_time_s: float = 600.0, droop: float = 0.02) ->
         reactive_weights=(rating,) * n,
         constants={"battery": [battery] * n},
         systems={
-            "plan": (plan,),
+            "plan": (setting(BATTERIES, planned_power=0.0),),  # before the first step
             "settle": (settle,),
             "voltages": (voltage_of_battery,),
             "move": (moving(rates, limited, constants=["battery"]),),

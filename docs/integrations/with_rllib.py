@@ -75,15 +75,9 @@ config = (
     .environment("batch", env_config={"n_threads": 1, "strategy": "coordinated-tuned"})
     .env_runners(num_env_runners=n_runners, num_envs_per_env_runner=64, gym_env_vectorize_mode="vector_entry_point")
     .rl_module(rl_module_spec=RLModuleSpec(module_class=Module, model_config=network))
-    .training(
-        train_batch_size_per_learner=batch_size,
-        minibatch_size=batch_size // 4,
-        num_epochs=5,
-        lr=2e-4,
-        gamma=0.998,
-        lambda_=0.95,
-    )
-    .training(use_kl_loss=False, vf_loss_coeff=0.5, vf_clip_param=float("inf"), grad_clip=0.5, clip_param=0.2)
+    .training(train_batch_size_per_learner=batch_size, minibatch_size=batch_size // 4, num_epochs=5)
+    .training(lr=2e-4, gamma=0.998, lambda_=0.95, grad_clip=0.5, clip_param=0.2)
+    .training(use_kl_loss=False, vf_loss_coeff=0.5, vf_clip_param=float("inf"))
     .debugging(seed=arguments.seed)
 )
 algorithm = config.build_algo()

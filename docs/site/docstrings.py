@@ -5,8 +5,6 @@
 - A name that several modules offer is described once, on the page of the package that holds it; the others link there.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from typing import Any
@@ -58,21 +56,15 @@ class Docstrings(griffe.Extension):
 
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
         """Leave each name to the package that holds it, where that offers it too."""
-        rooms = {name: set(room.exports or ()) for name, room in pkg.modules.items()}
+        offered = {name: set(room.exports or ()) for name, room in pkg.modules.items()}
         for module in (pkg, *pkg.modules.values()):
             elsewhere = []
             for name in map(str, module.exports or ()):
                 held = module.members.get(name)
                 if not isinstance(held, griffe.Alias):
                     continue
-                room = held.target_path.removeprefix(f"{pkg.name}.").partition(".")[0]
-                # An alias of an alias says which package it was imported from, which offers it as well.
-                while room in rooms and isinstance(target := pkg[room].members.get(name), griffe.Alias):
-                    onward = target.target_path.removeprefix(f"{pkg.name}.").partition(".")[0]
-                    if onward == room:
-                        break
-                    room = onward
-                if room in rooms and name in rooms[room] and pkg[room] is not module:
+                room = held.canonical_path.removeprefix(f"{pkg.name}.").partition(".")[0]
+                if room != module.name and name in offered.get(room, ()):
                     elsewhere.append(_reference(f"{pkg.name}.{room}.{name}", f"{room}.{name}"))
                     del module.members[name]
             if elsewhere and module.docstring is not None:

@@ -7,8 +7,6 @@
 - `<!-- include FILE.py -->` becomes the program beside the page.
 """
 
-from __future__ import annotations
-
 import posixpath
 import re
 from pathlib import Path
@@ -33,8 +31,7 @@ _PROGRAM = re.compile(r"^<!-- include (\w+\.py) -->$", flags=re.MULTILINE)
 def section(text: str, anchor: str, title: str) -> str:
     """Return a section of a page, up to the next heading of its level; with its heading, unless that is `title`.
 
-    Raises:
-        ValueError: the heading is missing.
+    A ValueError says that the heading is missing.
     """
     # A comment in code is not a heading.
     bare = re.sub(r"^```.*?^```", lambda code: " " * len(code[0]), text, flags=re.MULTILINE | re.DOTALL)
@@ -47,14 +44,9 @@ def section(text: str, anchor: str, title: str) -> str:
 
 
 def rewritten(text: str, here: str, source: str, repository: str, known: frozenset[str]) -> str:
-    """Return a page's text with links that hold on the site.
+    """Return a page's Markdown with links that hold on the site, where `here` is its path and `known` are all paths.
 
-    Args:
-        text: Markdown.
-        here: path of the page on the site.
-        source: path of the file in the repository, which the links start from.
-        repository: address of the repository, "" if it is unknown.
-        known: paths of all files on the site.
+    Its links start from `source`, the path of its file in the repository, whose address may be unknown, "".
     """
 
     def replaced(match: re.Match[str]) -> str:

@@ -1,12 +1,10 @@
 """For docs/benchmark.md: what v1 demands of itself, measured; ten minutes on two processors, with the extra `train`."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 
 import numpy as np
-from output import folder as output_folder
+from output import DOCS
 
 from agents.evolution import Search, largest_deviations_hz
 from agents.planner import Course, PlannerOptions, planned
@@ -35,7 +33,8 @@ LAW, N_SEARCHED, POPULATION, N_KNOTS = "coordinated-free", 90, 12, 12
 #: Training scenarios whose bad runs are to be won.
 N_WON = 300
 SEARCHED = EnvSettings(suite=SUITE, strategy=LAW, reward="cost")
-Row = tuple[str, str, str, str]
+#: Name of a condition, what it demands, what was measured, and whether it holds.
+Row = tuple[str, str, str, bool]
 
 
 def room(results: Results) -> Row:
@@ -46,20 +45,24 @@ def room(results: Results) -> Row:
     of_planner = evaluate([planner, *LAWS], SUITE, "validation", seeds=seeds, batch=N_PLANNED)
     leads = [against_law(of_planner, "planner"), against_law(results, exact)]
     demand = "with the exact state, without foresight, 10 points above the best law; a fifth fewer bad runs in `short`"
-    return "room", demand, "; ".join(text for text, _ in leads), verdict(any(holds for _, holds in leads))
+    return "room", demand, "; ".join(text for text, _ in leads), any(holds for _, holds in leads)
 
 
 def against_law(results: Results, name: str) -> tuple[str, bool]:
     """Return how an entry compares with the best law that nothing was learned for, and whether it leads by enough."""
-    suite, runs = get_suite(SUITE), results.runs
     law = max((each for each in LAWS if each != "distilled-law"), key=lambda each: results.scores[each].value)
     lead = results.scores[name].value - results.scores[law].value
     strata = {row.name: row.strata for row in results.ranking}
-    leads = ", ".join(f"{at} {strata[name][at].value - strata[law][at].value:+.1f}" for at in suite.strata)
-    short = [suite.stratum(seed) == "short" for seed in results.seeds]
-    bad, of_law = (100.0 * lost_or_beyond(runs[each], suite.nominal_hz)[:, short].mean() for each in (name, law))
+    leads = ", ".join(f"{at} {strata[name][at].value - strata[law][at].value:+.1f}" for at in strata[name])
+    bad, of_law = (100.0 * bad_in_short(results, each).mean() for each in (name, law))
     text = f"{name} {lead:+.1f} over {law} ({leads}), {bad:.0f} % bad instead of {of_law:.0f} %"
     return text, bool(lead >= 10.0 and bad <= 0.8 * of_law)
+
+
+def bad_in_short(results: Results, name: str) -> np.ndarray:
+    """Return 1 where an entry's run in `short` is bad, else 0, (n_runs, n_scenarios)."""
+    short = [get_suite(SUITE).stratum(seed) == "short" for seed in results.seeds]
+    return lost_or_beyond(results.runs[name], get_suite(SUITE).nominal_hz)[:, short]
 
 
 def paid_in_full(results: Results) -> Row:
@@ -89,7 +92,7 @@ def paid_in_full(results: Results) -> Row:
     changes.sort(key=lambda each: -abs(each[0]))
     demand = "a minute more, with J0 for the longer episode, moves no entry with ✓ by 2 points"
     measured = ", ".join(f"{name} {change:+.1f} ± {error:.1f}" for change, error, name in changes)
-    return "paid in full", demand, measured, verdict(abs(changes[0][0]) < 2.0)
+    return "paid in full", demand, measured, abs(changes[0][0]) < 2.0
 
 
 def operator_agrees(results: Results) -> Row:
@@ -102,7 +105,7 @@ def operator_agrees(results: Results) -> Row:
         if sign_test(bad[above.name], bad[below.name]) < 0.05
     ]
     demand = "on test scenarios no entry with ✓ is ranked above one with significantly fewer bad runs (5 %)"
-    return "an operator agrees", demand, ", ".join(pairs) or "no such pair", verdict(not pairs)
+    return "an operator agrees", demand, ", ".join(pairs) or "no such pair", not pairs
 
 
 def sharp(results: Results) -> Row:
@@ -110,21 +113,19 @@ def sharp(results: Results) -> Row:
     widths = {row.name: 0.5 * (row.score.high - row.score.low) for row in results.ranking if row.n_runs > 2}
     measured = ", ".join(f"{name} ± {width:.1f}" for name, width in widths.items())
     demand = "on test scenarios intervals of ± 1 for networks of three seeds or more"
-    return "sharp", demand, measured, verdict(max(widths.values()) <= 1.0)
+    return "sharp", demand, measured, max(widths.values()) <= 1.0
 
 
 def saves_runs(results: Results) -> Row:
     """Compare bad runs of the best learned entry in `short` with those of every law with the mark, paired."""
-    suite = get_suite(SUITE)
-    short = [suite.stratum(seed) == "short" for seed in results.seeds]
-    good = {name: 1.0 - lost_or_beyond(runs, suite.nominal_hz)[:, short] for name, runs in results.runs.items()}
+    good = {name: 1.0 - bad_in_short(results, name) for name in results.runs}
     best = next(row.name for row in results.ranking if row.kind == "learned" and not row.privileged)
     laws = [row.name for row in results.ranking if row.name in LAWS and row.marked]
     chances = {name: sign_test(good[best], good[name]) for name in laws}
     shares = [f"{100.0 * (1.0 - good[name].mean()):.0f} % {name} (p = {p:.2g})" for name, p in chances.items()]
     measured = f"{100.0 * (1.0 - good[best].mean()):.0f} % bad with {best}, {', '.join(shares)}"
     demand = "in `short` on test scenarios the learned entry that scores most has fewer bad runs than laws with ✓ (5 %)"
-    return "saves runs", demand, measured, verdict(max(chances.values()) < 0.05)
+    return "saves runs", demand, measured, max(chances.values()) < 0.05
 
 
 def course(knots: np.ndarray, n_steps: int) -> np.ndarray:
@@ -161,7 +162,7 @@ def no_shortcut() -> Row:
     scores = evaluate([clock, LAW], SUITE, "validation", seeds=validation, batch=N_SEARCHED).scores
     gain = scores["clock"].value - scores[LAW].value
     demand = "the best clock that a search finds, constants among them, earns less than 1 point over the law beneath"
-    return "no shortcut", demand, f"{gain:+.1f} over {LAW}", verdict(gain < 1.0)
+    return "no shortcut", demand, f"{gain:+.1f} over {LAW}", gain < 1.0
 
 
 def winnable() -> Row:
@@ -170,10 +171,8 @@ def winnable() -> Row:
     scenarios = batch.scenarios(suite.train[:N_WON])
     _, deviations = play_course(batch, scenarios, np.zeros((N_WON, 2, batch.n_action)))
     bad = [scenario for scenario, hz in zip(scenarios, deviations, strict=True) if hz > 0.8]
-    scenarios, batch = (
-        [scenario for scenario in bad for _ in range(POPULATION)],
-        EnvBatch(SEARCHED, len(bad) * POPULATION),
-    )
+    scenarios = [scenario for scenario in bad for _ in range(POPULATION)]
+    batch = EnvBatch(SEARCHED, len(scenarios))
     searches = [Search(np.zeros((N_KNOTS, 2)), 0.35, POPULATION, scenario.seed) for scenario in bad]
     best = np.full(len(bad), np.inf)
     for _ in range(40):
@@ -191,24 +190,15 @@ def winnable() -> Row:
     shares = {name: 100.0 * lost.count(name) * len(suite.strata) / N_WON for name in suite.strata}
     demand = "under the best actions that a search finds, at most a tenth of a stratum's runs are bad"
     measured = ", ".join(f"{name} {share:.0f} %" for name, share in shares.items())
-    return "winnable", demand, measured, verdict(max(shares.values()) <= 10.0)
+    return "winnable", demand, measured, max(shares.values()) <= 10.0
 
 
-def verdict(holds: bool) -> str:
-    return "holds" if holds else "does not hold"
-
-
-def main() -> None:
-    docs = output_folder(__doc__)
+if __name__ == "__main__":
     results = evaluate([*LAWS, *FIRST, EXACT], SUITE, "validation")
     rows = [condition(results) for condition in (room, paid_in_full)]
     results = evaluate([*LAWS, *POLICIES, EXACT], SUITE, "test")
     rows += [condition(results) for condition in (operator_agrees, sharp, saves_runs)]
     rows += [no_shortcut(), winnable()]
-    update_between_markers(
-        docs / "benchmark.md", markdown_table(("condition", "demand", "measured", ""), rows), "conditions"
-    )
-
-
-if __name__ == "__main__":
-    main()
+    cells = [(*texts, "holds" if holds else "does not hold") for *texts, holds in rows]
+    table = markdown_table(("condition", "demand", "measured", ""), cells)
+    update_between_markers(DOCS / "benchmark.md", table, "conditions")

@@ -1,18 +1,15 @@
 """`python docs/studies/grid_files.py FILE|FOLDER …`: how files become grids, at rest and at 30 resets, or why not."""
 
+import contextlib
 import re
 import sys
-import tempfile
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 
-import wtg_gym  # noqa: F401, registers the environment
-from wtg_gym import Plant, Scenario, simulate
-from wtg_gym.files import write_atomically
+from wtg_gym import GFMWTGEnv, Plant, Scenario, simulate
 from wtg_gym.grids.reading import read_case, with_wind
-from wtg_gym.physics.grid import Grid, grid_text
+from wtg_gym.physics.grid import Grid
 from wtg_gym.physics.simulator import longest_step
 
 ENDINGS = (".m", ".mat", ".raw", ".rawx", ".zip", ".uct", ".txt", ".cdf", ".dgs", ".json", ".xiidm", ".jiidm")
@@ -33,15 +30,10 @@ def rest_hz(grid: Grid) -> float:
 
 def resets(grid: Grid) -> str:
     """Return how many of 30 resets start, and how many scenarios were drawn again for them."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "grid.json"
-        write_atomically(file, grid_text(grid))
-        env, redrawn = gymnasium.make("GFMWTG-v1", grid=str(file), reward="cost"), []
-        for seed in range(SEEDS):
-            try:
-                redrawn.append(env.reset(seed=seed)[1]["redrawn"])
-            except (RuntimeError, ValueError):
-                continue
+    env, redrawn = GFMWTGEnv(grid=grid, reward="cost"), []
+    for seed in range(SEEDS):
+        with contextlib.suppress(RuntimeError, ValueError):
+            redrawn.append(env.reset(seed=seed)[1]["redrawn"])
     return f"{len(redrawn)} / {sum(redrawn)}"
 
 
@@ -60,15 +52,11 @@ def row(path: Path) -> list[str]:
     return cells
 
 
-def main() -> None:
+if __name__ == "__main__":
     given = [Path(name) for name in sys.argv[1:]]
     files = [file for path in given for file in ([path] if path.is_file() else sorted(path.rglob("*")))]
     print("| file | buses | voltage [p.u.] | angle [rad] | load [MW] | 20 s at rest [Hz] | started / redrawn |")
     print("| --- " * 7 + "|")
-    for path in files:
-        if path.suffix.lower() in ENDINGS and path.is_file():
-            print(f"| {' | '.join(row(path))} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+    for file in files:
+        if file.suffix.lower() in ENDINGS and file.is_file():
+            print(f"| {' | '.join(row(file))} |", flush=True)

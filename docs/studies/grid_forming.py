@@ -1,7 +1,7 @@
 """For docs/grid-forming.md: the tests that operators ask of grid-forming plants, entries × tests, and a picture."""
 
 from matplotlib.lines import Line2D
-from output import folder
+from output import DOCS
 
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, run_grid_test
 from wtg_gym.files import markdown_table, update_between_markers
@@ -13,13 +13,11 @@ LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-
 TUNED = ("coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law", "ppo-v1-0")
 #: The end of every criterion, which the page says once.
 STAY = "; all groups stay"
-#: Tests and controllers whose figures the page shows.
-SHOWN = (
-    ("angle-step", "coordinated-piecewise"),
-    ("island-surplus", "coordinated-piecewise"),
-    ("current-limit", "coordinated-piecewise"),
-    ("current-limit", "coordinated-tuned"),
-)
+#: Controllers and the tests of theirs whose figures the page shows.
+SHOWN = {
+    "coordinated-piecewise": ("angle-step", "island-surplus", "current-limit"),
+    "coordinated-tuned": ("current-limit",),
+}
 DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")
 
 
@@ -45,7 +43,8 @@ def verdicts(runs):
     n = len(GRID_TESTS)
     rows = [(", ".join(labels), f"{n - len(failed)} of {n}", ", ".join(failed)) for failed, labels in alike.items()]
     table = markdown_table(("controllers", "passed", "failed"), rows)
-    figures = [f"- `{test}`, `{label}`: {runs[label][test][1][1]}" for test, label in SHOWN]
+    shown = [(label, test) for label, tests in SHOWN.items() for test in tests]
+    figures = [f"- `{test}`, `{label}`: {runs[label][test][1][1]}" for label, test in shown]
     return "\n".join([table, "", *figures])
 
 
@@ -54,11 +53,8 @@ def picture(runs):
     """Draw the mean power of all groups and the frequency in every test."""
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 230.0)
     looks = style.law_looks(runs)
-    rows = 2 * -(-len(GRID_TESTS) // 3)
-    axes = figure.subplots(rows, 3)
-    for k, name in enumerate(GRID_TESTS):
-        column, row = k % 3, 2 * (k // 3)
-        of_frequency, of_power = axes[row][column], axes[row + 1][column]
+    axes = figure.subplots(2 * -(-len(GRID_TESTS) // 3), 3)
+    for name, of_frequency, of_power in zip(GRID_TESTS, axes[0::2].flat, axes[1::2].flat, strict=False):
         for label, results in runs.items():
             response, _ = results[name]
             look = {"color": looks[label].colour, "linestyle": looks[label].dashes}
@@ -71,11 +67,10 @@ def picture(runs):
             low, high = own_axes.get_ylim()
             own_axes.set_ylim(max(low, limits[0]), min(high, limits[1]))
         of_frequency.set_xticklabels([])
-        if column == 0:
-            of_frequency.set_ylabel("f [Hz]")
-            of_power.set_ylabel("p [p.u.]")
-        if row + 2 == rows:
-            of_power.set_xlabel("time [s]")
+    for k, panel in enumerate(axes[:, 0]):
+        panel.set_ylabel(("f [Hz]", "p [p.u.]")[k % 2])
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
     for unused in (panel for panel in axes.flat if not panel.lines):
         unused.set_axis_off()
     handles = [Line2D([], [], color=looks[n].colour, linestyle=looks[n].dashes, label=n) for n in runs]
@@ -84,18 +79,13 @@ def picture(runs):
     return figure
 
 
-def main(docs):
-    """Play all entries, and renew tables and picture."""
+if __name__ == "__main__":
     runs = {}
     for spec in (*LAWS, *TUNED):
         entry = load_entries(spec)[0]
         runs[entry.name] = {test.name: run_grid_test(test, entry) for test in GRID_TESTS.values()}
         print(entry.name, *(verdict for _, verdict in runs[entry.name].values()), sep="\n  ", flush=True)
-    page = docs / "grid-forming.md"
+    page = DOCS / "grid-forming.md"
     update_between_markers(page, described(), "tests")
     update_between_markers(page, verdicts(runs), "verdicts")
-    save_figure(picture({name: runs[name] for name in DRAWN}), docs / "physics" / "grid-forming.svg")
-
-
-if __name__ == "__main__":
-    main(folder(__doc__))
+    save_figure(picture({name: runs[name] for name in DRAWN}), DOCS / "physics" / "grid-forming.svg")

@@ -3,10 +3,8 @@
 The policies were trained on 14 buses. It takes five minutes on two processors.
 """
 
-from __future__ import annotations
-
 from matrix import marks_lost, table
-from output import folder as output_folder
+from output import DOCS
 
 from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.files import markdown_table, update_between_markers
@@ -50,8 +48,7 @@ def played(suite: str) -> Results:
 
 
 if __name__ == "__main__":
-    docs = output_folder(__doc__)
-    update_between_markers(docs / "grids.md", grids(), "grids")
+    update_between_markers(DOCS / "grids.md", grids(), "grids")
     columns = {suite: played(suite) for suite in SUITES}
     first = columns[DEFAULT_SUITE]
-    update_between_markers(docs / "grids.md", f"{table(columns, first)}\n\n{marks_lost(columns, first)}", "transfer")
+    update_between_markers(DOCS / "grids.md", f"{table(columns, first)}\n\n{marks_lost(columns, first)}", "transfer")

@@ -8,8 +8,6 @@ suites that are not named stay, where their laws are the same. With `--fresh` it
 prints how many standard errors their means are away from the stored ones.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json
@@ -18,29 +16,23 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import evaluate
 from wtg_gym.evaluation.adjusted import LAW_MEANS, settings_hash
-from wtg_gym.evaluation.evaluator import play_batch, shared_settings
+from wtg_gym.evaluation.evaluator import shared_settings
 from wtg_gym.evaluation.score import gains
 from wtg_gym.evaluation.summary import pinned_costs
 from wtg_gym.files import to_json, write_atomically
-from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.scenarios import SUITES, get_suite
 from wtg_gym.tasks import V1
 
-N_SCENARIOS = 24_000
-#: Scenarios that a process plays at a time.
-_AT_ONCE = 120
+N_SCENARIOS, _AT_ONCE = 24_000, 600  # of a suite, and of a process at a time
 
 
 def gains_of(name, seeds):
     """Return the gains of the variates over the law that scores 100, (n_scenarios, n_laws)."""
-    settings, suite = EnvSettings(suite=name, split="train"), get_suite(name)
-    scenarios, costs = suite.scenarios(seeds), {}
-    for law in dict.fromkeys((suite.task.hundred, *suite.task.variates)):
-        episodes = play_batch(Entry(name=law, strategy=law), settings, scenarios, 1)
-        if isinstance(episodes, PolicyError):
-            raise episodes
-        costs[law] = pinned_costs([episodes], None)[0]
+    suite = get_suite(name)
+    results = evaluate(suite.task.hundred, name, "train", seeds=seeds, n_threads=1)
+    costs = {law: pinned_costs(runs, None)[0] for law, runs in results.runs.items()}
     offsets = np.array([suite.task.cost_offsets[suite.stratum(seed)] for seed in seeds])
     return gains(np.array([costs[law] for law in suite.task.variates]), costs[suite.task.hundred], offsets).T
 
@@ -54,29 +46,23 @@ def law_means(name, n_fresh=0):
     with ProcessPoolExecutor() as pool:
         x = np.concatenate(list(pool.map(gains_of, itertools.repeat(name), parts)))
     of = np.array([suite.stratum(seed) for seed in seeds])
+    by_stratum = {stratum: x[of == stratum] for stratum in suite.strata}
     return {
         "suite_hash": suite.hash,
         "settings": settings_hash(shared_settings(EnvSettings(suite=name))),
         "laws": list(suite.task.variates),
         "strata": {
-            stratum: {
-                "n": int((of == stratum).sum()),
-                "mean": x[of == stratum].mean(axis=0).tolist(),
-                "covariance": np.atleast_2d(np.cov(x[of == stratum].T)).tolist(),
-            }
-            for stratum in suite.strata
+            name: {"n": len(x), "mean": x.mean(axis=0).tolist(), "covariance": np.atleast_2d(np.cov(x.T)).tolist()}
+            for name, x in by_stratum.items()
         },
     }
 
 
-def main():
-    """Play the suites that are named."""
+if __name__ == "__main__":
     suites = [name for name, suite in SUITES.items() if suite.task is V1 and suite.strata]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("suites", nargs="*", default=suites, metavar="SUITE")
-    parser.add_argument(
-        "--fresh", type=int, default=0, metavar="N", help="play N other scenarios and compare, writing nothing"
-    )
+    parser.add_argument("--fresh", type=int, default=0, metavar="N", help="compare N other scenarios, write nothing")
     arguments = parser.parse_args()
     for name in arguments.suites:
         means = law_means(name, arguments.fresh)
@@ -91,7 +77,3 @@ def main():
             for law, mean, error, z in zip(means["laws"], values["mean"], errors, away, strict=True):
                 compared = f", {z:+.1f} standard errors away" if arguments.fresh else ""
                 print(f"{name} {stratum}: {values['n']} scenarios, {law} {mean:.4f} ± {error:.4f}{compared}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,9 @@
 """For docs/benchmark.md: cost and bad runs over the reserve margin, and the table of the strata."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
-from output import folder as output_folder
+from output import DOCS
 
 from wtg_gym.evaluation import evaluate
 from wtg_gym.files import markdown_table, update_between_markers
@@ -29,20 +27,15 @@ def strata(entries: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], see
         upper = f"… {100.0 * high:.0f} %" if np.isfinite(high) else "% and more"
         median = float(np.median(costs[chosen])) - offset
         events = ", ".join(draw.name.rpartition("/")[2] for draw in suite.drawn_from[name])
-        share = f"{100.0 * float(bad[chosen].mean()):.0f} %"
-        rows.append([name, f"{100.0 * low:.0f} {upper}", events, f"{offset:g}", f"{median:.0f}", share])
+        values = f"{offset:g}", f"{median:.0f}", f"{100.0 * float(bad[chosen].mean()):.0f} %"
+        rows.append([name, f"{100.0 * low:.0f} {upper}", events, *values])
     return markdown_table(("stratum", "reserve margin", "kinds of event", "J0", "median cost", "bad runs"), rows)
 
 
-def main() -> None:
-    docs = output_folder(__doc__)
+if __name__ == "__main__":
     suite = get_suite(SUITE)
     results = evaluate(list(ENTRIES), SUITE, "validation")
     entries = over_margin(results)
-    save_figure(plot_over_margin(entries, suite.task.hundred), docs / "images/margin.svg")
+    save_figure(plot_over_margin(entries, suite.task.hundred), DOCS / "images/margin.svg")
     table = strata(entries, list(results.seeds), suite.task.hundred)
-    update_between_markers(docs / "benchmark.md", table, "strata")
-
-
-if __name__ == "__main__":
-    main()
+    update_between_markers(DOCS / "benchmark.md", table, "strata")

@@ -3,8 +3,6 @@
 Results of a suite are kept in results/matrix for the next time. On two processors it takes five minutes.
 """
 
-from __future__ import annotations
-
 import copy
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from output import folder as output_folder
+from output import DOCS
 
 from wtg_gym.cli.scoring import chosen_entries, run_evaluation
 from wtg_gym.envs.settings import EnvSettings
@@ -52,10 +50,8 @@ CHANGES: dict[str, Callable[[Scenario], Scenario]] = {
 
 def entries_of(suite: str) -> list[Entry]:
     """Return all entries; of several training seeds the first."""
-    entries: dict[str, Entry] = {}
-    for entry in chosen_entries(("baselines", "policies"), suite):
-        entries.setdefault(entry.name, entry)
-    return list(entries.values())
+    entries = chosen_entries(("baselines", "policies"), suite)
+    return list({entry.name: entry for entry in reversed(entries)}.values())
 
 
 def on_suite(suite: str) -> Results:
@@ -67,9 +63,7 @@ def on_suite(suite: str) -> Results:
     return results
 
 
-def played(
-    entries: Sequence[Entry], results: Results, change: Callable[[Scenario], Scenario] = lambda scenario: scenario
-) -> Results:
+def played(entries: Sequence[Entry], results: Results, change=lambda scenario: scenario) -> Results:
     """Return results in which the same entries have played the same test scenarios of `OWN`, each changed."""
     scenarios = [change(scenario) for scenario in get_suite(OWN).scenarios(results.seeds)]
     settings = EnvSettings(suite=OWN, split="test")
@@ -157,9 +151,8 @@ def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str
 
 
 if __name__ == "__main__":
-    docs = output_folder(__doc__)
     suites = {suite: on_suite(suite) for suite in SUITES}
     scored = {entry["name"] for entry in suites[OWN].entries}
     entries = [entry for entry in entries_of(OWN) if entry.name in scored]
     faults = with_faults(entries, suites[OWN])
-    update_between_markers(docs / "benchmark.md", section(suites, faults), "matrix")
+    update_between_markers(DOCS / "benchmark.md", section(suites, faults), "matrix")

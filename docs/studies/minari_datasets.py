@@ -4,8 +4,6 @@ Stores gfmwtg/VERSION/POLICY-v0 in the folder MINARI_DATASETS_PATH, or in Minari
 Episode i is what `reset(seed=i)` draws. The same command gives the same data. Needs the extra `data`.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import itertools
@@ -47,13 +45,12 @@ def make_dataset(version: str, policy: str, episodes: int) -> Any:
     (entry,) = load_entries(player)
     modes: Any = {"action_mode": entry.action_mode, "observation_mode": entry.observation_mode}
     env = gym.make(f"wtg_gym:GFMWTG-14bus-{version}", suite=suite, split="train", strategy=entry.law.name, **modes)
-    trained: Any = entry.policy
-    with contextlib.closing(env), trained, Progress("episodes") as progress, warnings.catch_warnings():
+    with contextlib.closing(env), entry.policy, Progress("episodes") as progress, warnings.catch_warnings():
         # Minari asks for an address and for the commit: the description has the hashes of the sources.
         warnings.simplefilter("ignore")
         buffers = []
         for seed in range(episodes):
-            buffers.append(_played(env, trained, *POLICIES[policy][seed % len(POLICIES[policy])], seed))
+            buffers.append(_played(env, entry.policy, *POLICIES[policy][seed % len(POLICIES[policy])], seed))
             progress.update(name, seed + 1, episodes)
         source = f"suite {suite} ({get_suite(suite).hash}), split train, law {entry.law.name}, source {source_hash()}"
         texts = {"algorithm_name": policy, "author": "The wtg_gym authors", "description": source}

@@ -8,15 +8,12 @@ first validation scenarios in which droop loses the grid, the tuned law leaves 5
 nothing and does not, it is that in which the tuned law lets the frequency fall lowest. Prints the load that each sheds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from output import folder as output_folder
+from output import DOCS
 
 from wtg_gym.cli.scoring import chosen_entries
 from wtg_gym.envs.settings import EnvSettings
@@ -33,10 +30,11 @@ from wtg_gym.scenarios import get_suite
 SUITE, N_SCENARIOS = "standard-v1", 150
 #: A law whose support ends where its rotor stalls.
 DROOP = "deloaded-5"
+Runs = Mapping[str, Recorded]
 
 
 @style.printed
-def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plant) -> Figure:
+def plot_one_event(scenario: Scenario, runs: Runs, plant: Plant) -> Figure:
     """Draw the worst unit's frequency, power of all turbines, slowest rotor and load not served over time.
 
     A cross marks where the grid was lost, if it lies in the panel. Grey lines: limits, and where load is shed first.
@@ -62,7 +60,8 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
     ):
         style.letter_panel(axes, letter, label)
         for name, run in runs.items():
-            draw_run(axes, run.time_s, getattr(run, quantity)[:, 0], looks[name], failed=bool(run.failures[0]))
+            values, failed = getattr(run, quantity)[:, 0], bool(run.failures[0])
+            draw_run(axes, run.time_s, values, looks[name], failed=failed, label=name)
         # A run that fails ends a step before the limit.
         axes.margins(y=0.12)
         if quantity == "worst_hz":
@@ -78,17 +77,16 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
         axes.set_xlabel("time [s]")
-    look = {"linewidth": 1.6}
-    handles = [Line2D([], [], color=looks[n].colour, linestyle=looks[n].dashes, label=n, **look) for n in runs]
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.0)
+    handles, labels = axes.get_legend_handles_labels()
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), handlelength=3.0)
+    for line in legend.get_lines():
+        line.set_linewidth(1.6)
     explain_events(figure, scenario)
     return figure
 
 
 @style.printed
-def plot_energy(
-    scenario: Scenario, runs: Mapping[str, Recorded], of_strata: Mapping[str, Mapping[str, Recorded]]
-) -> Figure:
+def plot_energy(scenario: Scenario, runs: Runs, of_strata: Mapping[str, Runs]) -> Figure:
     """Draw the energy that the rotors of each group have lent in a scenario, and all of them on average in strata."""
     figure, looks = style.new_figure(style.DOUBLE_COLUMN_MM, 110.0), style.law_looks(runs)
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
@@ -102,10 +100,8 @@ def plot_energy(
     for letter, axes, (stratum, played) in zip("cd", panels[1], of_strata.items(), strict=True):
         style.letter_panel(axes, letter, f"{stratum}: energy lent by all groups, mean [MJ]")
         for name, run in played.items():
-            look, stored = looks[name], run.stored_mj.sum(axis=2)
-            axes.plot(
-                run.time_s, np.nanmean(stored[0] - stored, axis=1), color=look.colour, linestyle=look.dashes, label=name
-            )
+            stored = run.stored_mj.sum(axis=2)
+            draw_run(axes, run.time_s, np.nanmean(stored[0] - stored, axis=1), looks[name], failed=False, label=name)
         axes.set_xlabel("time [s]")
     panels[1, 1].legend(loc="lower right")
     explain_events(figure, scenario)
@@ -139,7 +135,6 @@ def chosen() -> tuple[int, list[Entry]]:
 
 
 if __name__ == "__main__":
-    docs = output_folder(__doc__)
     seed, entries = chosen()
     settings, scenarios = EnvSettings(suite=SUITE, split="validation"), get_suite(SUITE).scenarios([seed])
     runs = {entry.name: recorded(entry, settings, scenarios) for entry in entries}
@@ -147,11 +142,11 @@ if __name__ == "__main__":
         print(f"{name}: {np.nanmax(run.unserved_mw):.0f} MW not served at most")
     # The list of events fills the line: without the suite's name.
     scenario = replace(scenarios[0], name=scenarios[0].name.partition("/")[2])
-    save_figure(plot_one_event(scenario, runs, settings.resolved_plant), docs / "images" / "one-event.svg")
+    save_figure(plot_one_event(scenario, runs, settings.resolved_plant), DOCS / "images" / "one-event.svg")
     suite, compared = get_suite(SUITE), entries[2:]
     of_strata = {}
     for stratum in suite.strata[1:]:
         drawn = suite.scenarios([each for each in suite.validation[:60] if suite.stratum(each) == stratum])
         of_strata[stratum] = {entry.name: recorded(entry, settings, drawn) for entry in compared}
     lenders = {entry.name: runs[entry.name] for entry in compared}
-    save_figure(plot_energy(scenario, lenders, of_strata), docs / "images" / "energy.svg")
+    save_figure(plot_energy(scenario, lenders, of_strata), DOCS / "images" / "energy.svg")

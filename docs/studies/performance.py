@@ -4,15 +4,16 @@ Ten minutes on a machine that does nothing else. Every case runs several times, 
 of them alike; the median counts, and its ratio to Pendulum-v1 can be compared with other machines'.
 """
 
-import functools
+import itertools
 import os
 import statistics
 import time
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import torch
-from output import folder
+from output import DOCS
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -31,17 +32,16 @@ YARDSTICK = "Pendulum-v1"  # physics of a few lines, in pure Python
 OURS = {"v0": "wtg_gym:GFMWTG-14bus-v0", "v1": "wtg_gym:GFMWTG-14bus-v1"}
 
 
-# --- what is stepped: each function prepares a case and returns what makes steps, how many, and their length [s] ------
+# Each of the next functions prepares a case and returns what makes steps, how many, and their length [s].
 
 
 def single(env):
     """Step a single environment with random actions drawn beforehand, resets included."""
-    actions = [env.action_space.sample() for _ in range(256)]
+    actions = itertools.cycle([env.action_space.sample() for _ in range(256)])
     env.reset(seed=0)
-    count = iter(range(10**12))
 
     def step():
-        _, _, terminated, truncated, _ = env.step(actions[next(count) % len(actions)])
+        _, _, terminated, truncated, _ = env.step(next(actions))
         if terminated or truncated:
             env.reset()
 
@@ -57,12 +57,11 @@ def vector(name, n_envs):
     scenarios = [suite.scenario(suite.validation[i % 100], duration_s=float(s)) for i, s in enumerate(lengths)]
     envs.reset(seed=0)
     envs.reset(options={"scenarios": scenarios})
-    actions = [envs.action_space.sample() for _ in range(8)]
-    count = iter(range(10**12))
+    actions = itertools.cycle([envs.action_space.sample() for _ in range(8)])
     # Next episodes are prepared in advance, more of them in the beginning.
     for _ in range(round(suite.duration_s / step_s)):
-        envs.step(actions[next(count) % 8])
-    return lambda: envs.step(actions[next(count) % 8]), n_envs, step_s
+        envs.step(next(actions))
+    return lambda: envs.step(next(actions)), n_envs, step_s
 
 
 def between_resets(grid, n_envs):
@@ -91,26 +90,18 @@ def training(envs, n_envs):
 
 def cases():
     """Return what prepares each case, by its name; the yardstick first."""
-    prepared = {YARDSTICK: functools.partial(single, gym.make(YARDSTICK))}
-    for version in OURS:
-        prepared[version] = functools.partial(single, gym.make(OURS[version]))
-    for version in OURS:
-        for n in (64, 1024):
-            prepared[f"{version}, vector of {n}"] = functools.partial(
-                vector, EnvSettings(version=version).suite_name, n
-            )
-    for name, grid in (("IEEE 39", "ieee39"), ("Nordic 45", "nordic45")):
-        prepared[f"{name}, vector of 1024"] = functools.partial(vector, EnvSettings(grid=grid).suite_name, 1024)
-    prepared["IEEE 39 between resets, steps of 0.1 s"] = functools.partial(between_resets, "ieee39", 1024)
-    for version in OURS:
-        prepared[f"{version}, gradients of 64"] = functools.partial(gradients, version, 64)
-    prepared["v0, PPO on the SB3 adapter of 1024"] = lambda: training(SB3VecEnv(1024, version="v0"), 1024)
-    dummies = [functools.partial(gym.make, OURS["v0"])] * 8
-    prepared["v0, PPO on DummyVecEnv of 8"] = lambda: training(DummyVecEnv(dummies), 8)
-    return prepared
-
-
-# --- measuring --------------------------------------------------------------------------------------------------------
+    suites = {version: EnvSettings(version=version).suite_name for version in OURS}
+    grids = {"IEEE 39": EnvSettings(grid="ieee39").suite_name, "Nordic 45": EnvSettings(grid="nordic45").suite_name}
+    dummies = [partial(gym.make, OURS["v0"])] * 8
+    return {
+        **{name: partial(single, gym.make(env_id)) for name, env_id in ((YARDSTICK, YARDSTICK), *OURS.items())},
+        **{f"{v}, vector of {n}": partial(vector, suite, n) for v, suite in suites.items() for n in (64, 1024)},
+        **{f"{name}, vector of 1024": partial(vector, suite, 1024) for name, suite in grids.items()},
+        "IEEE 39 between resets, steps of 0.1 s": partial(between_resets, "ieee39", 1024),
+        **{f"{version}, gradients of 64": partial(gradients, version, 64) for version in OURS},
+        "v0, PPO on the SB3 adapter of 1024": lambda: training(SB3VecEnv(1024, version="v0"), 1024),
+        "v0, PPO on DummyVecEnv of 8": lambda: training(DummyVecEnv(dummies), 8),
+    }
 
 
 def rate(step, n_per_step):
@@ -122,8 +113,7 @@ def rate(step, n_per_step):
     return n * n_per_step / passed
 
 
-def main(docs):
-    """Renew the page."""
+if __name__ == "__main__":
     # With layers this small a second thread waits more than it computes.
     torch.set_num_threads(1)
     steppers = {}
@@ -131,11 +121,8 @@ def main(docs):
         print(f"preparing {name}", flush=True)
         steppers[name] = make()
         steppers[name][0]()
-    rates = {name: [] for name in steppers}
-    for _ in range(REPEATS):
-        for name, stepper in steppers.items():
-            rates[name].append(rate(*stepper[:2]))
-    medians = {name: statistics.median(repeats) for name, repeats in rates.items()}
+    turns = [{name: rate(*stepper[:2]) for name, stepper in steppers.items()} for _ in range(REPEATS)]
+    medians = {name: statistics.median(turn[name] for turn in turns) for name in steppers}
     rows = [
         (name, f"{median:,.0f}", f"{median / medians[YARDSTICK]:.2g}", f"{median * steppers[name][2]:,.0f}")
         for name, median in medians.items()
@@ -143,8 +130,4 @@ def main(docs):
     table = markdown_table(("case", "steps per s", f"× {YARDSTICK}", "simulated s per s"), rows, right=(1, 2, 3))
     machine = f"{versions()['processor']}, {os.cpu_count()} processors, Python {versions()['python']}"
     text = f"{machine}; median of {REPEATS} runs of {SECONDS:g} s.\n\n{table}"
-    update_between_markers(docs / "performance.md", text, "speed")
-
-
-if __name__ == "__main__":
-    main(folder(__doc__))
+    update_between_markers(DOCS / "performance.md", text, "speed")

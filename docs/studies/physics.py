@@ -1,7 +1,7 @@
 """For docs/physics.md: the paper's conclusions in its own plant, and in plants with more physics; some minutes."""
 
 import numpy as np
-from output import folder
+from output import DOCS
 
 from wtg_gym.envs.batch import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
@@ -17,13 +17,6 @@ INCREASE, DECREASE = get_suite("paper").scenarios([0, 1])
 PLANTS = {"the paper's": Plant(), **{name: Plant().replaced(physics=name) for name in ("extended", "nrel-5mw")}}
 SUITES, N_SCENARIOS = ("standard", "gust", "weak-grid", "low-wind"), 100
 SECOND_STEP_S = 30.0  # of the load increase; the claims on nadir and RoCoF are about the first step [s]
-CONCLUSIONS = (
-    "coordinated never fails",
-    "MPPT, 5, 10 % fail in turn [s]",
-    "its nadir is lower, by < 10 mHz",
-    "its RoCoF is smaller [Hz/s]",
-    "its rotors rise less, load decrease [p.u.]",
-)
 
 
 def case_study(scenario, plant):
@@ -58,8 +51,7 @@ def fail_in_turn(runs):
 def compared(runs, limit_s, quantity):
     """Return a quantity of the reference, those of the others, and a note where a run ends before `limit_s`.
 
-    Args:
-        quantity: function of a run and the samples before the limit, or before the first run ends.
+    It is a function of a run and the samples before the limit, or before the first run ends.
     """
     end_s = min(limit_s, *(float(run.time_s[-1]) for run in runs.values()))
     values = {strategy: quantity(run, run.time_s < end_s) for strategy, run in runs.items()}
@@ -68,15 +60,16 @@ def compared(runs, limit_s, quantity):
 
 
 def verdicts(plant, increase, decrease):
-    """Return whether each conclusion holds in a plant, and its numbers."""
+    """Return each conclusion, whether it holds in a plant, and its numbers."""
     assert all(runs[REFERENCE_LAW].status == Status.RUNNING for runs in (increase, decrease))
-    yield never_fails(plant)
-    yield fail_in_turn(increase)
+    yield "coordinated never fails", *never_fails(plant)
+    yield "MPPT, 5, 10 % fail in turn [s]", *fail_in_turn(increase)
     nadir, nadirs, note = compared(increase, SECOND_STEP_S, lambda run, before: run.frequency_hz[before].min())
     below = [1e3 * (other - nadir) for other in nadirs]
-    yield min(below) > 0.0 and max(below) < 10.0, f"{min(below):.0f}…{max(below):.0f}{note}"
+    holds = min(below) > 0.0 and max(below) < 10.0
+    yield "its nadir is lower, by < 10 mHz", holds, f"{min(below):.0f}…{max(below):.0f}{note}"
     rocof, rocofs, _ = compared(increase, SECOND_STEP_S, lambda run, before: np.abs(run.rocof_hz_s()[before]).max())
-    yield rocof < min(rocofs), f"{rocof:.3f} to {min(rocofs):.3f}"
+    yield "its RoCoF is smaller [Hz/s]", rocof < min(rocofs), f"{rocof:.3f} to {min(rocofs):.3f}"
     rise, (_, *rises), note = compared(
         decrease,
         DECREASE.duration_s,
@@ -84,20 +77,16 @@ def verdicts(plant, increase, decrease):
     )
     least = np.minimum(*rises)
     texts = ("/".join(f"{value:.2f}" for value in values) for values in (rise, least))
-    yield (rise < least).all(), " to ".join(texts) + note
-
-
-def main(docs):
-    """Renew the page and its picture."""
-    increases = {name: case_study(INCREASE, plant) for name, plant in PLANTS.items()}
-    columns = []
-    for name, plant in PLANTS.items():
-        results = verdicts(plant, increases[name], case_study(DECREASE, plant))
-        columns.append([f"{'yes' if holds else '**no**'}: {text}" for holds, text in results])
-    rows = list(zip(CONCLUSIONS, *columns, strict=True))
-    save_figure(plot_trajectories(increases["extended"], INCREASE), docs / "physics" / "load-increase.svg")
-    update_between_markers(docs / "physics.md", markdown_table(("the paper concludes", *PLANTS), rows), "survival")
+    holds = (rise < least).all()
+    yield "its rotors rise less, load decrease [p.u.]", holds, " to ".join(texts) + note
 
 
 if __name__ == "__main__":
-    main(folder(__doc__))
+    increases = {name: case_study(INCREASE, plant) for name, plant in PLANTS.items()}
+    rows = {}
+    for name, plant in PLANTS.items():
+        for conclusion, holds, text in verdicts(plant, increases[name], case_study(DECREASE, plant)):
+            rows.setdefault(conclusion, [conclusion]).append(f"{'yes' if holds else '**no**'}: {text}")
+    save_figure(plot_trajectories(increases["extended"], INCREASE), DOCS / "physics" / "load-increase.svg")
+    table = markdown_table(("the paper concludes", *PLANTS), rows.values())
+    update_between_markers(DOCS / "physics.md", table, "survival")

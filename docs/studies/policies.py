@@ -6,8 +6,7 @@ prints them. To tune one of your own, call `tune_law` or `tune_gains`; each take
 processors.
 """
 
-from __future__ import annotations
-
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 
@@ -19,6 +18,7 @@ from wtg_gym.envs.batch import EnvBatch
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
     LARGEST_COEFFICIENT,
     REFERENCE_LAW,
@@ -44,50 +44,35 @@ _GAIN_STEPS = np.array([0.5, 1.0, 1.0, 2.0, 0.1])
 N_SCENARIOS = 120
 
 
-class Population:
-    """Candidates that play the same training scenarios of a suite of v1 side by side; use it as a context.
+def playing(suite: str, n_scenarios: int, n_candidates: int, **settings) -> EnvBatch:
+    """Return a batch in which candidates play the same training scenarios of a suite of v1 side by side."""
+    of_env = EnvSettings(suite=suite, split="train", reward="cost", **settings)
+    return EnvBatch(of_env, n_scenarios * n_candidates)
 
-    Further arguments are settings of the environment.
+
+def objectives(batch: EnvBatch, scenarios: Sequence[Scenario], laws=None, act=None) -> Floats:
+    """Return ln(J + J0) / Λ of each candidate, mean over the scenarios, (n_candidates,): it decides the score.
+
+    Args:
+        laws: the law of each candidate; None: that of the settings.
+        act: actions (n_candidates, n_scenarios, n_wtg, n_action) by what the groups observe, each number an array
+            (n_candidates, n_scenarios, n_wtg); None: zeros.
     """
-
-    def __init__(self, suite: str, seeds: range, n_candidates: int, **settings) -> None:
-        n_scenarios = len(seeds)
-        settings_of_env = EnvSettings(suite=suite, split="train", reward="cost", **settings)
-        self.batch = EnvBatch(settings_of_env, n_scenarios * n_candidates)
-        self._scenarios = self.batch.scenarios(seeds)
-        self._offsets = np.array([self.batch.suite.cost_offset(scenario) for scenario in self._scenarios])
-
-    def __enter__(self) -> Population:
-        return self
-
-    def __exit__(self, *_error) -> None:
-        self.batch.simulator.close()
-
-    def objectives(
-        self, laws: Sequence[TrackingLaw] | None = None, act: Callable[[MeasuredObservation], Floats] | None = None
-    ) -> Floats:
-        """Return ln(J + J0) / Λ of each candidate, mean over the scenarios, (n_candidates,): it decides the score.
-
-        Args:
-            laws: the law of each candidate; None: that of the settings.
-            act: actions (n_candidates, n_scenarios, n_wtg, n_action) by what the groups observe, each number an array
-                (n_candidates, n_scenarios, n_wtg); None: zeros.
-        """
-        batch, n_scenarios = self.batch, len(self._scenarios)
-        shape = batch.num_envs // n_scenarios, n_scenarios
-        for candidate in range(shape[0]):
-            if laws is not None:
-                batch.laws = (laws[candidate],) * batch.n_wtg
-            batch.start(range(candidate * n_scenarios, (candidate + 1) * n_scenarios), self._scenarios)
-        actions = np.zeros((batch.num_envs, batch.n_action))
-        for _ in range(round(batch.duration_s / batch.settings.step_s)):
-            if act is not None:
-                seen = batch.observations.reshape(*shape, -1).astype(np.float64)
-                groups = of_groups(seen, MeasuredObservation, batch.settings.action_mode)
-                actions = np.clip(act(groups), -1.0, 1.0).reshape(batch.num_envs, -1)
-            batch.step(np.ascontiguousarray(actions))
-        costs = batch.cost_sums().sum(axis=1).reshape(shape)
-        return np.log(costs + self._offsets).mean(axis=1)
+    n_scenarios = len(scenarios)
+    shape = batch.num_envs // n_scenarios, n_scenarios
+    for candidate in range(shape[0]):
+        if laws is not None:
+            batch.laws = (laws[candidate],) * batch.n_wtg
+        batch.start(range(candidate * n_scenarios, (candidate + 1) * n_scenarios), scenarios)
+    actions = np.zeros((batch.num_envs, batch.n_action))
+    for _ in range(batch.n_steps_of_episode):
+        if act is not None:
+            seen = batch.observations.reshape(*shape, -1).astype(np.float64)
+            groups = of_groups(seen, MeasuredObservation, batch.settings.action_mode)
+            actions = np.clip(act(groups), -1.0, 1.0).reshape(batch.num_envs, -1)
+        batch.step(np.ascontiguousarray(actions))
+    offsets = np.array([batch.suite.cost_offset(scenario) for scenario in scenarios])
+    return np.log(batch.cost_sums().sum(axis=1).reshape(shape) + offsets).mean(axis=1)
 
 
 def law_of(x: Floats) -> TrackingLaw:
@@ -115,14 +100,18 @@ def tuning_of(law: TrackingLaw) -> Tuning:
 
 
 def tune_law(
-    suite: str, capped: bool, n_scenarios: int = N_SCENARIOS, generations: int = 18, population: int = 12, seed: int = 1
+    suite: str, capped: bool, n_scenarios: int = N_SCENARIOS, generations: int = 18, population: int = 12
 ) -> TrackingLaw:
     """Return the law that scores most."""
     first = int(capped)
-    search = Search(np.array(_START[first:]), 0.3, population, seed, bounds=[side[first:] for side in _BOUNDS])
-    with Population(suite, get_suite(suite).train[:n_scenarios], population) as candidates:
-        mean = run_search(search, generations, lambda xs: candidates.objectives(laws=[law_of(x) for x in xs]))
-        return law_of(mean)
+    search = Search(np.array(_START[first:]), 0.3, population, 1, bounds=[side[first:] for side in _BOUNDS])
+    with contextlib.closing(playing(suite, n_scenarios, population)) as batch:
+        scenarios = batch.scenarios(batch.suite.train[:n_scenarios])
+
+        def costs_of(points: Floats) -> Floats:
+            return objectives(batch, scenarios, laws=[law_of(point) for point in points])
+
+        return law_of(run_search(search, generations, costs_of))
 
 
 def run_search(search: Search, generations: int, costs_of: Callable[[Floats], Floats]) -> Floats:
@@ -144,7 +133,7 @@ def distilled(suite: str, teacher: str = "dagger-v1-2", n_scenarios: int = N_SCE
     for _ in range(rounds):
         with started_batch(entry, settings, seeds) as (batch, _drawn), entry.policy:
             filtered, state = None, None
-            for step in range(round(batch.duration_s / batch.settings.step_s)):
+            for step in range(batch.n_steps_of_episode):
                 running = ~np.logical_or(*batch.ended())
                 answers, state = answer(entry, batch, state, step, running)
                 values, filtered = terms(of_groups(batch.observations, MeasuredObservation, "k"), filtered)
@@ -157,16 +146,16 @@ def distilled(suite: str, teacher: str = "dagger-v1-2", n_scenarios: int = N_SCE
 
 
 def tune_gains(
-    suite: str, start: Gains, n_scenarios: int = 600, generations: int = 24, population: int = 8, seed: int = 1
+    suite: str, start: Gains, n_scenarios: int = 600, generations: int = 24, population: int = 8
 ) -> tuple[Gains, float]:
     """Return the numbers of distilled-law that score most, and what they cost in the logarithm of the score.
 
     The law beneath was tuned on other scenarios.
     """
-    search = Search(np.array(start) / _GAIN_STEPS, 0.1, population, seed)
-    settings = {"strategy": "coordinated-free", "action_mode": "k"}
-    seeds = get_suite(suite).train[N_SCENARIOS : N_SCENARIOS + n_scenarios]
-    with Population(suite, seeds, population, **settings) as candidates:
+    search = Search(np.array(start) / _GAIN_STEPS, 0.1, population, 1)
+    played = playing(suite, n_scenarios, population, strategy="coordinated-free", action_mode="k")
+    with contextlib.closing(played) as batch:
+        scenarios = batch.scenarios(batch.suite.train[N_SCENARIOS : N_SCENARIOS + n_scenarios])
 
         def costs_of(points: Floats) -> Floats:
             policy, filtered = DistilledLaw((points * _GAIN_STEPS)[:, np.newaxis, np.newaxis]), None
@@ -176,7 +165,7 @@ def tune_gains(
                 actions, filtered = policy.act(seen, filtered)
                 return actions[..., np.newaxis]
 
-            return candidates.objectives(act=act)
+            return objectives(batch, scenarios, act=act)
 
         mean = run_search(search, generations, costs_of)
         return Gains(*(mean * _GAIN_STEPS)), float(costs_of(np.tile(mean, (population, 1)))[0])

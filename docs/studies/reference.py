@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from typing import get_type_hints
 
-from output import folder
+from output import DOCS
 
 from wtg_gym.envs import EnvSettings, GFMWTGEnv
 from wtg_gym.evaluation import load_entries
@@ -21,8 +21,8 @@ from wtg_gym.tasks.cost import COST_TERMS, CostWeights
 from wtg_gym.tasks.measured_observation import MeasuredObservation
 from wtg_gym.tasks.observation import GridObservation, Info, LocalInfo, MachineObservation, WtgObservation
 
-NEWEST_FIRST = list(TASKS.values())[::-1]
-ENVS = {version.version: GFMWTGEnv(version=version.version) for version in NEWEST_FIRST}
+#: The newest version first.
+ENVS = {task.version: GFMWTGEnv(version=task.version) for task in reversed(TASKS.values())}
 
 
 def plain(text):
@@ -42,15 +42,12 @@ def listed(rows):
 
 def overview():
     """Return the versions side by side."""
-    header = ("", "Action space", "Observation space", "Groups of turbines", "Step, episode")
-    columns = [header]
-    for version in NEWEST_FIRST:
-        env, step_s = ENVS[version.version], ENVS[version.version].settings.step_s
-        groups = [f"{group.n_turbines:g} at bus {group.bus}" for group in env.settings.resolved_plant.groups]
-        episode = env.settings.episode_duration_s()
-        spaces = f"`{env.action_space}`", f"`{env.observation_space}`"
-        time = f"{step_s} s, {round(episode / step_s)} steps"
-        columns.append((f"`{version.env_id}`", *spaces, ", ".join(groups), time))
+    columns = [("", "Action space", "Observation space", "Groups of turbines", "Step, episode")]
+    for env in ENVS.values():
+        settings, names = env.settings, (env.settings.env_id, env.action_space, env.observation_space)
+        groups = [f"{group.n_turbines:g} at bus {group.bus}" for group in settings.resolved_plant.groups]
+        time = f"{settings.step_s} s, {round(settings.episode_duration_s() / settings.step_s)} steps"
+        columns.append((*(f"`{name}`" for name in names), ", ".join(groups), time))
     rows = list(zip(*columns, strict=True))
     return markdown_table(rows[0], rows[1:])
 
@@ -103,12 +100,9 @@ def weights():
 def info():
     """Return the keys of `info`, whose names end in their units; one for all terms of the cost."""
     rows = [(f"`{key}`", meaning) for key, _, meaning in (*declared(Info), *declared(LocalInfo))]
-    terms = ", ".join(COST_TERMS)
+    terms = f"{', '.join(COST_TERMS)} (in v1 `cost_failure` includes load not served)"
     rows += [
-        (
-            "`cost_…`",
-            f"[cost of this step](benchmark.md#the-cost): {terms} (in v1 `cost_failure` includes load not served)",
-        ),
+        ("`cost_…`", f"[cost of this step](benchmark.md#the-cost): {terms}"),
         ("`scenario_seed`", "its seed, else −1"),
         ("`reserve_margin`", "[reserve margin](benchmark.md#strata); in drawn suites of v1"),
         ("`termination_reason`", "why the episode was terminated, else empty"),
@@ -210,7 +204,6 @@ def laws():
 
 
 if __name__ == "__main__":
-    docs = folder(__doc__)
-    update_between_markers(docs / "environment.md", environment_page(), "environment")
-    update_between_markers(docs / "parameters.md", parameters_page(), "parameters")
-    update_between_markers(docs / "benchmark.md", laws(), "laws")
+    update_between_markers(DOCS / "environment.md", environment_page(), "environment")
+    update_between_markers(DOCS / "parameters.md", parameters_page(), "parameters")
+    update_between_markers(DOCS / "benchmark.md", laws(), "laws")

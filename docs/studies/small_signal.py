@@ -7,12 +7,12 @@ right-hand side that it integrates, must have the same poles there.
 import dataclasses
 
 import numpy as np
-from output import folder as output_folder
+from output import DOCS
 from paper import single_machine
 
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase
-from wtg_gym.physics.linearisation import moving_matrix
+from wtg_gym.physics.linearisation import moving_matrix, state_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
@@ -23,54 +23,36 @@ from wtg_gym.scenarios import get_suite
 
 WINDS = (8.0, 11.4)
 INFINITE_MVA = 1e9  # so large a machine that nothing moves it
-DIFFERENCE = 2e-6  # of a state [rad, p.u.]; truncation and rounding are both near 1e-9 of a power
+SIDES = {"under": -1.0, "over": 1.0}  # slopes of g(ω) at ω_st
 
 
-# --- the linearised system --------------------------------------------------------------------------------------------
-
-
-def at_rest(scenario, laws, settings=None):
-    """Return a simulator in the equilibrium that a scenario starts from; its events do not matter."""
-    settings = settings or Plant()
-    duration_s = settings.interval_s * max(1, round(1.0 / settings.interval_s))
-    simulator = Simulator(settings, duration_s=duration_s)
-    laws = group_laws(laws, settings.turbines, settings.control)
+def at_rest(scenario, law, plant):
+    """Return state, plant and layout of the equilibrium that a scenario starts from; its events do not matter."""
+    duration_s = plant.interval_s * max(1, round(1.0 / plant.interval_s))
+    simulator = Simulator(plant, duration_s=duration_s)
+    laws = group_laws(law, plant.turbines, plant.control)
     simulator.start(0, dataclasses.replace(scenario, events=(), duration_s=duration_s), laws)
-    return simulator
+    return simulator.blocks[0, :, 0], simulator.plant, simulator.layout
 
 
-def linearise(scenario, laws, settings=None, *, side="under"):
-    """Return A of ẋ = A x around the equilibrium that a scenario starts from, and the names of the states.
+def linearise(scenario, law, plant, side):
+    """Return A of ẋ = A x around the equilibrium that a scenario starts from.
 
-    `laws` are one law or strategy name for all WTG groups or one for each. `side` is the slope of g(ω) at ω_st. The
-    pitch protection at rest takes no part, since it only acts upwards.
+    The pitch protection at rest takes no part, since it only acts upwards.
     """
-    simulator = at_rest(scenario, laws, settings)
-    rows, layout = simulator.blocks[0, :, 0], simulator.layout
-    matrix, keep = moving_matrix(rows, simulator.plant, layout, {"under": -1.0, "over": 1.0}[side])
-    return matrix, np.array(layout.state_names)[keep].tolist()
+    matrix, _ = moving_matrix(*at_rest(scenario, law, plant), SIDES[side])
+    return matrix
 
 
-def synchronising_coefficients(scenario, laws, settings=None):
-    """Return ∂p_i/∂δ_j between WTG groups, on the base of group i, shape (n_wtg, n_wtg) [p.u./rad].
+def synchronising_coefficients(scenario, law, plant):
+    """Return K_p = ∂p/∂δ of each WTG group, on its own base, with the angles of all other units held [p.u./rad].
 
-    The diagonal is the K_p of the paper's single-machine model in this network, with the angles of all other units
-    held. The sum of a row is K_p where all groups swing together against the synchronous machines.
+    This is the K_p of the paper's single-machine model in this network: 2H dω/dt falls by it per radian.
     """
-    simulator = at_rest(scenario, laws, settings)
-    rows, columns = simulator.blocks[0, :, 0], []
-    for row in simulator.layout.wtg("angle"):
-        powers, start = [], rows[row]
-        for sign in (-1.0, 1.0):
-            rows[row] = start + sign * DIFFERENCE
-            simulator.evaluate()
-            powers.append(simulator.wtg_values("power")[0])
-        rows[row] = start
-        columns.append((powers[1] - powers[0]) / (2.0 * DIFFERENCE))
-    return np.stack(columns, axis=1)
-
-
-# --- the tables -------------------------------------------------------------------------------------------------------
+    rows, tables, layout = at_rest(scenario, law, plant)
+    matrix = state_matrix(rows, tables, layout, SIDES["under"])
+    of_speed, of_angle = (np.flatnonzero(np.isin(layout.state_rows, layout.wtg(name))) for name in ("speed", "angle"))
+    return -2.0 * plant.control.inertia_constant_s * matrix[of_speed, of_angle]
 
 
 def infinite_bus(reactance_pu=0.2):
@@ -87,34 +69,33 @@ def infinite_bus(reactance_pu=0.2):
     return Plant(case=case, groups=(WtgGroup(bus=2, n_turbines=10.0),))
 
 
-def compare(law, wind_m_s, side, settings):
-    """Return the paper's loop on an infinite bus at the K_p of that network, and how far its poles are off.
+def compare(law, wind_m_s, side, plant):
+    """Return K_p on an infinite bus, and how far the poles of the paper's loop are off there.
 
     The distance is the largest from a pole to the simulator's nearest eigenvalue, relative to the pole.
     """
     scenario = Scenario(name="infinite bus", wind_speed=np.array([[wind_m_s]]), load_noise_bus=1)
-    k_p = float(synchronising_coefficients(scenario, law, settings)[0, 0])
-    loop = single_machine(law, wind_m_s, k_p, side, turbine=settings.turbine)
-    poles = loop.closed_loop_poles()
-    eigenvalues = np.linalg.eigvals(linearise(scenario, law, settings, side=side)[0])
+    k_p = float(synchronising_coefficients(scenario, law, plant)[0])
+    poles = single_machine(law, wind_m_s, k_p, side).closed_loop_poles()
+    eigenvalues = np.linalg.eigvals(linearise(scenario, law, plant, side))
     nearest = np.array([eigenvalues[np.argmin(np.abs(eigenvalues - pole))] for pole in poles])
-    return loop, float((np.abs(nearest - poles) / np.abs(poles)).max())
+    return k_p, float((np.abs(nearest - poles) / np.abs(poles)).max())
 
 
 def margins_table():
     """Return how the models differ on an infinite bus, and the margins in the 14-bus system, a law in one row."""
-    plant, paper = infinite_bus(), get_suite("paper").scenario(0)
+    alone, system, paper = infinite_bus(), Plant(), get_suite("paper").scenario(0)
     differences, rows, coefficients = [], [], []
     for law in LAWS.values():
-        in_system = dict(zip(paper.wind_speed[:, 0], np.diag(synchronising_coefficients(paper, law)), strict=True))
-        cells, sides = [], ("under", "over") if law.k_min != law.k_max else ("under",)
+        in_system = dict(zip(paper.wind_speed[:, 0], synchronising_coefficients(paper, law, system), strict=True))
+        cells, sides = [], tuple(SIDES) if law.k_min != law.k_max else ("under",)
         for wind in WINDS:
-            alone, difference = zip(*(compare(law, wind, side, plant) for side in sides), strict=True)
-            system = [single_machine(law, wind, float(in_system[wind]), side=side) for side in sides]
-            differences += difference
-            coefficients.append([loops[0].synchronising_coefficient for loops in (alone, system)])
+            on_bus, of_poles = zip(*(compare(law, wind, side, alone) for side in sides), strict=True)
+            loops = [single_machine(law, wind, float(in_system[wind]), side) for side in sides]
+            differences += of_poles
+            coefficients.append((on_bus[0], in_system[wind]))
             # One number where the slopes of g(ω) do not differ.
-            cells.append(" / ".join(dict.fromkeys(f"{loop.margins().phase_margin_deg:.1f}" for loop in system)))
+            cells.append(" / ".join(dict.fromkeys(f"{loop.phase_margin_deg():.1f}" for loop in loops)))
         rows.append((law.name, *cells))
     (least, least_system), (most, most_system) = np.min(coefficients, axis=0), np.max(coefficients, axis=0)
     header = ("margin in the 14-bus system [°]", *(f"{wind:g} m/s" for wind in WINDS))
@@ -126,5 +107,4 @@ def margins_table():
 
 
 if __name__ == "__main__":
-    folder = output_folder(__doc__)
-    update_between_markers(folder / "validation.md", margins_table(), "small-signal")
+    update_between_markers(DOCS / "validation.md", margins_table(), "small-signal")

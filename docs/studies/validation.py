@@ -6,7 +6,7 @@ Three minutes. The golden cases are described in tests/golden/README.md.
 import dataclasses
 
 import numpy as np
-from output import folder
+from output import DOCS
 
 from tests.golden.case import TRACES, read_case, read_trace
 from tests.golden.replay import differences, replay
@@ -67,14 +67,12 @@ def samples(run, step_s):
     values = []
     rows = [simulator.layout.wtg(name) for name in ("k_offset", "inv_tau")]
     authority = environment.task.k_authority * (tracking_point(0.0, plant.turbine).coefficient - laws[0].k_max)
-    n_held = environment.n_intervals
     for interval in range(simulator.n_intervals):
-        if interval % n_held == 0:
+        if interval % environment.n_intervals == 0:
             k, tau = RUNS[run] * rng.uniform(-1.0, 1.0, (2, *simulator.blocks[:, rows[0], :].shape))
             simulator.blocks[:, rows[0], :] = authority * k
-            simulator.blocks[:, rows[1], :] = laws[0].inverse_time_constant * 4.0 ** (
-                environment.task.tau_authority * tau
-            )
+            faster = 4.0 ** (environment.task.tau_authority * tau)
+            simulator.blocks[:, rows[1], :] = laws[0].inverse_time_constant * faster
         simulator.advance()
         simulator.evaluate()
         quantities = [
@@ -134,18 +132,12 @@ def draw(results):
         axes.set_xticks([], minor=True)
         axes.set_xlabel("step [ms]")
         axes.set_ylabel(f"error of {quantity} [{QUANTITIES[quantity]}]")
-    handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
-def main(docs):
-    """Renew the page and its pictures."""
-    results = {run: errors(run) for run in RUNS}
-    style.save_figure(draw(results), docs / "validation" / "accuracy.svg")
-    update_between_markers(docs / "validation.md", step_table(results), "accuracy")
-    update_between_markers(docs / "validation.md", golden_summary(), "golden")
-
-
 if __name__ == "__main__":
-    main(folder(__doc__))
+    results = {run: errors(run) for run in RUNS}
+    style.save_figure(draw(results), DOCS / "validation" / "accuracy.svg")
+    update_between_markers(DOCS / "validation.md", step_table(results), "accuracy")
+    update_between_markers(DOCS / "validation.md", golden_summary(), "golden")

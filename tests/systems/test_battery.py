@@ -25,7 +25,7 @@ STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
 WITHOUT = EnvSettings(version="v0", duration_s=20.0)
 BAD = [
     (lambda b: {"systems": {"setle": (b.settle,)}}, "unknown places .*'setle'.*; did you mean 'settle'"),
-    (lambda b: {"systems": {"plan": (b.plan,)}}, "batteries have no systems for settle, voltages, move, rates"),
+    (lambda b: {"systems": {"plan": (b.settle,)}}, "batteries have no systems for settle, voltages, move, rates"),
     (lambda b: {"impedances": (0j,)}, "impedances of batteries must be finite and not 0 p.u."),
     (lambda b: {"reactive_weights": (0.1, 0.2)}, "1 batteries need 1 reactive_weights, got 2"),
     (lambda b: {"constants": {}}, r"batteries have the constants \['battery'\], got \[\]"),
