@@ -1,7 +1,7 @@
 """An entry: a law, and the policy that modulates it."""
 
-import itertools
 import json
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -201,9 +201,12 @@ def check_entries(entries: Sequence[Entry]) -> None:
 
 def check_rows(entries: Iterable[Mapping[str, Any]]) -> None:
     """Raise a ValueError unless entries of one name, given by :meth:`Entry.to_dict`, are training seeds of one row."""
-    for entry, other in itertools.combinations(entries, 2):
-        if entry["name"] == other["name"] and (reason := row_conflict(entry, other)):
-            raise ValueError(reason)
+    rows = defaultdict[str, list[Mapping[str, Any]]](list)
+    for entry in entries:
+        for other in rows[entry["name"]]:
+            if reason := row_conflict(other, entry):
+                raise ValueError(reason)
+        rows[entry["name"]].append(entry)
 
 
 def row_conflict(entry: Mapping[str, Any], other: Mapping[str, Any]) -> str:
