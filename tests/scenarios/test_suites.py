@@ -56,7 +56,6 @@ def test_suites_are_those_of_the_benchmark():
 def drawn(request):
     """A suite of the benchmark, its hash, and the scenarios of validation and test that the hash was computed of."""
     suite, scenarios, real = dataclasses.replace(get_suite(request.param)), [], Suite.scenarios
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Suite, "scenarios", lambda *own: [result := real(*own), scenarios.extend(result)][0])
         return suite, suite.hash, scenarios
