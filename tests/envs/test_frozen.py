@@ -113,10 +113,8 @@ def cases(version: str):
     return result
 
 
-RECORDED = {
-    path.stem.removeprefix("frozen_"): json.loads(path.read_text(encoding="utf-8"))
-    for path in sorted(Path(__file__).parent.glob("frozen_v*.json"))
-}
+FILES = sorted(Path(__file__).parent.glob("frozen_v*.json"))
+RECORDED = {path.stem.removeprefix("frozen_"): json.loads(path.read_text(encoding="utf-8")) for path in FILES}
 CASES = {version: cases(version) for version in RECORDED}
 
 
