@@ -15,7 +15,7 @@ from wtg_gym.physics.simulator import Simulator
 def replay(case: Case, events: Sequence[Event], time_s: np.ndarray, step_s: float) -> dict[str, np.ndarray]:
     """Run a case and return every column that a trace may hold, each (n,); a value at an event is the one before it.
 
-    Events are at whole integration steps, which divide ROW_S, of which the rows' increasing instants are multiples.
+    Events are at whole steps of `step_s`, which divides ROW_S; the rows' times (n,) rise, multiples of ROW_S. All in s.
     """
     opened = {case.network.branch_index(e.from_bus, e.to_bus) for e in events if isinstance(e, LineTrip)}
     splits = len(case.network.parts_without(tuple(opened))) > 1
