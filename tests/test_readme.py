@@ -139,9 +139,8 @@ def test_a_release_has_addresses_and_an_install_command_of_its_own(tmp_path):
     assert all(url in (tmp_path / "CITATION.cff").read_text(encoding="utf-8") for url in urls.values())
     page = (tmp_path / "README.md").read_text(encoding="utf-8")
     assert "pip install wtg-gym" in page and "git clone" not in page and "pip install '." not in page
-    advice = run([sys.executable, "-P", "-c", "from wtg_gym.extras import *; print(install_advice('x'))"], tmp_path, {
-        **os.environ, "PYTHONPATH": str(tmp_path)
-    })  # fmt: skip
+    code, released = "from wtg_gym.extras import *; print(install_advice('x'))", {"PYTHONPATH": str(tmp_path)}
+    advice = run([sys.executable, "-P", "-c", code], tmp_path, {**os.environ, **released})
     assert advice == "pip install 'wtg-gym[x]'\n"
 
 

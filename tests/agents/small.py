@@ -49,7 +49,6 @@ def trained(folder: Path, algo: str) -> Path:
 
 def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
     """Begin a run like another one, and interrupt it once it has a checkpoint of a step."""
-
     there = folder / "checkpoints" / f"{timesteps:012d}"
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(Run, "take_stock", interrupted(Run.take_stock, when=lambda *_, **__: there.exists()))

@@ -151,21 +151,10 @@ def test_search_begins_at_the_policy_of_the_file(name):
     assert actions_of(policy, n) == pytest.approx(actions_of(entry.policy, n), abs=1e-6)
 
 
-class Other(torch.nn.Module):
-    """What is built alike, but has another function between its layers."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.per_group = True
-        layers = torch.nn.Linear(7, 4), torch.nn.ReLU(), torch.nn.Linear(4, 1), torch.nn.Tanh()
-        self.layers = torch.nn.Sequential(*layers)
-
-    def forward(self, observations):
-        return self.layers(observations)
-
-
 def test_network_with_other_actions_is_refused(tmp_path):
-    export_onnx(Other(), tmp_path, name="mine", per_group=True, action_mode="k", strategy="coordinated-free")
+    other = GradientPolicy(7, 1, (4,))
+    other.layers[1], other.per_group = torch.nn.ReLU(), True
+    export_onnx(other, tmp_path, name="mine", per_group=True, action_mode="k", strategy="coordinated-free")
     with pytest.raises(ValueError, match=r"holds no single network of .*: its actions are others"):
         evolution.read_policy(tmp_path, EVOLUTION(action_mode="k"))
 

@@ -22,6 +22,7 @@ from wtg_gym.scenarios import FROZEN_HASHES, SUITES
 #: Longer than an episode, so that environments start again; episodes of v1 are cut to a minute.
 _N_STEPS, _NUM_ENVS = {"v0": 640, "v1": 130}, 17
 _LENGTHS = {"v0": {}, "v1": {"duration_s": 60.0}}
+_TWO_LAWS = ["coordinated-linear", "coordinated-undamped"]
 #: Settings besides the modes under which a suite is played once more.
 _VARIANTS = {}
 _VARIANTS["v0"] = {
@@ -31,7 +32,7 @@ _VARIANTS["v0"] = {
     "three groups": {"suite": "weak-grid", "groups": 3},
     "one group": {"suite": "standard", "groups": [{"bus": 3, "n_turbines": 4.0}]},
     "fine steps": {"suite": "standard", "control_dt": 0.05, "plant": {"simulation_dt": 0.0125}},
-    "laws": {"suite": "standard", "strategy": ["coordinated-linear", "coordinated-undamped"]},
+    "laws": {"suite": "standard", "strategy": _TWO_LAWS},
 }
 _VARIANTS["v1"] = {
     "fails": {"suite": "gusty-v1", "strategy": "mppt"},
@@ -40,10 +41,7 @@ _VARIANTS["v1"] = {
     "exact": {"suite": "standard-v1", "sensors": "exact", "observation_mode": "privileged"},
     "late": {"suite": "standard-v1", "sensors": {"delay_s": (0.0, 1.0), "wind_bias": 0.2}},
     "fine steps": {"suite": "standard-v1", "control_dt": 0.05, "plant": {"simulation_dt": 0.0125}},
-    "laws": {
-        "suite": "low-share-v1",
-        "strategy": ["coordinated-linear", "coordinated-undamped", "mppt", "deloaded-10"],
-    },
+    "laws": {"suite": "low-share-v1", "strategy": [*_TWO_LAWS, "mppt", "deloaded-10"]},
     "ieee39": {"suite": "ieee39-v1"},
     "kundur": {"suite": "kundur-v1", "strategy": "coordinated-free"},
     "nordic45": {"suite": "nordic45-v1", "observation_mode": "privileged"},
@@ -115,10 +113,8 @@ def cases(version: str):
     return result
 
 
-RECORDED = {
-    path.stem.removeprefix("frozen_"): json.loads(path.read_text(encoding="utf-8"))
-    for path in sorted(Path(__file__).parent.glob("frozen_v*.json"))
-}
+FILES = sorted(Path(__file__).parent.glob("frozen_v*.json"))
+RECORDED = {path.stem.removeprefix("frozen_"): json.loads(path.read_text(encoding="utf-8")) for path in FILES}
 CASES = {version: cases(version) for version in RECORDED}
 
 

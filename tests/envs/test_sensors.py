@@ -186,9 +186,7 @@ def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their
     assert (np.abs(numbers) > 2.9).mean() == pytest.approx(2.0 * u, rel=0.1)
 
 
-def advance(
-    sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1
-) -> tuple[list[Measurement], np.ndarray]:
+def advance(sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1):
     given = sensing.sensor_input(sensors, control_dt, 50.0)
     seen, states, state = [], [], sensing.sensors_started(exact[0], sensing.Noise(0.0, 0.0, 0.0, 0.0, 0.0))
     for numbers, now in zip(noise_of(1, len(exact), N_CHANNELS, sensors.seed)[0].tolist(), exact, strict=True):

@@ -237,12 +237,8 @@ def test_returned_arrays_are_not_overwritten_by_later_steps():
 
 def test_episodes_prepared_together_are_those_that_the_generator_draws():
     # With machines of so little voltage some scenarios cannot start.
-    protection = ProtectionParameters(internal_voltage_max_pu=1.32)
-    settings = {
-        "version": "v0",
-        "duration_s": 5.0,
-        "plant": get_suite("standard").plant.replaced(protection=protection),
-    }
+    plant = get_suite("standard").plant.replaced(protection=ProtectionParameters(internal_voltage_max_pu=1.32))
+    settings = {"version": "v0", "duration_s": 5.0, "plant": plant}
     env, one_by_one = GFMWTGEnv(**settings), GFMWTGVectorEnv(1, **settings)
 
     def play(environment, seed) -> list[tuple[int, int, bytes]]:

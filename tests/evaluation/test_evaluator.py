@@ -54,8 +54,7 @@ class Counting:
     """A policy with a recurrent state; it notes what it was given."""
 
     def __init__(self) -> None:
-        self.states = []
-        self.starts = []
+        self.states, self.starts = [], []
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         assert deterministic

@@ -89,7 +89,6 @@ def summaries_of(runs, costs, groups, with_scores: bool):
 def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(results_v1):
     groups = {"ample": np.arange(0, 12, 2), "short": np.arange(1, 12, 2)}
     quiet = survived(results_v1, nadir_hz=49.9, zenith_hz=50.1)
-
     lost = [dataclasses.replace(e, failure="frequency limit") for e in quiet]
     # Four scenarios of four may be chance, p = 1 / 16; five are not.
     runs = {V1.zero: [quiet], V1.hundred: [quiet], "wild": [[*lost[:5], *quiet[5:]]], "fine": [[*lost[:4], *quiet[4:]]]}

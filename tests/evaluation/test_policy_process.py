@@ -35,6 +35,13 @@ LIES = [
     "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x01\\x00'); sink.flush()",
     "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x00abc'); sink.flush()",
 ]
+BOUNDS = [
+    ("MEMORY_BYTES", 2**30, "bytearray(3 * 2**30)", "the policy's process ended with exit code 1"),
+    ("CPU_S", 3, "while True: pass", r"ended with SIGXCPU: more than .* s of processor time"),
+]
+UNLOCKED = "worker.lock = lambda source, sink: 'no filter: the kernel refuses'"
+FAILED_START = ("sys.exit(1)", "cannot start the process of a policy: .* ended with exit code 1")
+WEAK = [(UNLOCKED, "cannot isolate .*the kernel refuses"), FAILED_START]
 COMMAND = ("worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})", r"cannot load the policy: a\\x1b\[2J\\n'''\\nb$")
 
 
@@ -231,13 +238,7 @@ def instead(monkeypatch, tmp_path_factory):
     return patch
 
 
-@pytest.mark.parametrize(
-    ("limit", "value", "code", "said"),
-    [
-        ("MEMORY_BYTES", 2**30, "bytearray(3 * 2**30)", "the policy's process ended with exit code 1"),
-        ("CPU_S", 3, "while True: pass", r"ended with SIGXCPU: more than .* s of processor time"),
-    ],
-)
+@pytest.mark.parametrize(("limit", "value", "code", "said"), BOUNDS)
 def test_memory_and_processor_time_are_bounded(limit, value, code, said, monkeypatch, instead):
     monkeypatch.setattr(policy_process, limit, value)
     instead(f"def serve(*given):\n    {code}\nworker._serve = serve")
@@ -246,20 +247,14 @@ def test_memory_and_processor_time_are_bounded(limit, value, code, said, monkeyp
 
 
 def test_kernel_without_a_filter_is_a_warning_where_that_is_allowed(instead):
-    instead("worker.lock = lambda source, sink: 'no filter: the kernel refuses'")
+    instead(UNLOCKED)
     weak = OnnxPolicy(make_bytes())
     with pytest.warns(UserWarning, match="policies are not isolated on this system: no filter"), weak:
         assert weak.not_isolated == ("no filter: the kernel refuses",)
         assert weak.predict(ONES)[0].shape == (3, M)
 
 
-@pytest.mark.parametrize(
-    ("code", "said"),
-    [
-        ("worker.lock = lambda source, sink: 'no filter: the kernel refuses'", "cannot isolate .*the kernel refuses"),
-        ("sys.exit(1)", "cannot start the process of a policy: .* ended with exit code 1"),
-    ],
-)
+@pytest.mark.parametrize(("code", "said"), WEAK)
 def test_system_that_cannot_isolate_is_no_failure_of_an_entry(code, said, instead):
     instead(code)
     arguments = {"seeds": [20_000], "duration_s": 1.0, "keep_going": True}

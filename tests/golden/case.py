@@ -82,6 +82,12 @@ def read_case(name: str) -> Case:
         if key not in power
     )
     held = {machine.bus for machine in machines} | {source.bus for source in sources}
+
+    def bus_of(number: int) -> Bus:
+        load, shunt = base * loads[number], base * shunts[number]
+        powers = {"load_mw": load.real, "load_mvar": load.imag, "shunt_mw": shunt.real, "shunt_mvar": shunt.imag}
+        return Bus(number=number, voltage_pu=abs(voltage[number]) if number in held else None, **powers)
+
     network = NetworkCase(
         name=name,
         base_mva=base,
@@ -89,31 +95,14 @@ def read_case(name: str) -> Case:
         # Every machine's power is given, so that any of their buses can take the slack; the angle's zero is a choice.
         # A source's power is not.
         slack_bus=min({source.bus for source in sources} or held, key=lambda number: abs(np.angle(voltage[number]))),
-        buses=tuple(
-            Bus(
-                number=number,
-                load_mw=base * loads[number].real,
-                load_mvar=base * loads[number].imag,
-                shunt_mw=base * shunts[number].real,
-                shunt_mvar=base * shunts[number].imag,
-                voltage_pu=abs(voltage[number]) if number in held else None,
-            )
-            for number in voltage
-        ),
-        branches=tuple(
-            Branch(from_bus=line["f"], to_bus=line["t"], **_named(NAMES["branch"], line)) for line in data["line"]
-        ),
+        buses=tuple(map(bus_of, voltage)),
+        branches=tuple(Branch(from_bus=b["f"], to_bus=b["t"], **_named(NAMES["branch"], b)) for b in data["line"]),
         machines=machines,
         sources=sources,
     )
-    return Case(
-        network=network,
-        keys=tuple(power),
-        voltage=voltage,
-        power=power,
-        events={key: tuple(_event(e, base, voltage, loads) for e in events) for key, events in data["events"].items()},
-        tolerance={"w": 1e-6, "Pe": 1e-5, "V": 1e-5} | data.get("tolerance", {}),
-    )
+    events = {key: tuple(_event(e, base, voltage, loads) for e in given) for key, given in data["events"].items()}
+    tolerance = {"w": 1e-6, "Pe": 1e-5, "V": 1e-5} | data.get("tolerance", {})
+    return Case(network=network, keys=tuple(power), voltage=voltage, power=power, events=events, tolerance=tolerance)
 
 
 def field_names(names: str) -> list[list[str]]:
@@ -135,14 +124,9 @@ def _control(data, key: str, kind: str):
 
 
 def _machine(gen, base: float, power: complex, data, key: str) -> SynchronousMachineParameters:
-    common = {
-        **_named(NAMES["machine"], gen),
-        "bus": gen["bus"],
-        "dispatch_mw": base * power.real,
-        # Only the proportions of the weights count.
-        "reactive_weight": base * gen["gammaq"],
-        "governor": _control(data, key, "governor"),
-    }
+    # Of the weights only the proportions count.
+    shares = {"dispatch_mw": base * power.real, "reactive_weight": base * gen["gammaq"]}
+    common = {**_named(NAMES["machine"], gen), "bus": gen["bus"], "governor": _control(data, key, "governor"), **shares}
     if gen.get("model", "GENCLS") == "GENCLS":
         return classical_machine(**common)
     assert gen["xd2"] == gen["xq2"], "the network is a constant admittance"

@@ -142,10 +142,7 @@ def _converter(model: str, unit, base_mva: float):
     swing = {"Tr": 0.0, "mf": unit["M"] * rating, "dd": 0.0} if model == "REGF2" else {"Tr": unit["M"] / unit["D"]}
     return {
         **{key: unit[key] for key in ("bus", "Sn", "gammap", "gammaq")},
-        "rf": unit["ra"],
-        "xf": unit["xd1"],
-        "wdrp": 1.0 / rating / unit["D"],
-        **swing,
+        **{"rf": unit["ra"], "xf": unit["xd1"], "wdrp": 1.0 / rating / unit["D"], **swing},
         **dict.fromkeys(("KPi", "KIi", "KPv", "KIv", "KPplim", "KIplim", "KPqlim", "KIqlim"), 0.0),
         **dict.fromkeys(("Pmax", "Qmax"), 99.0),
         **dict.fromkeys(("Pmin", "Qmin"), -99.0),

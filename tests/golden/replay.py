@@ -5,41 +5,27 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from tests.golden.case import ROW_S, Case, machine_powers
+from tests.physics.extended import scenario
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
 from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import Event, LineTrip, Scenario
+from wtg_gym.physics.scenario import Event, LineTrip
 from wtg_gym.physics.simulator import Simulator
 
 
 def replay(case: Case, events: Sequence[Event], time_s: np.ndarray, step_s: float) -> dict[str, np.ndarray]:
     """Run a case and return every column that a trace may hold, each (n,); a value at an event is the one before it.
 
-    Args:
-        case, events: what runs, and what happens, at whole steps.
-        time_s: instants of the rows, multiples of ROW_S, increasing (n,) [s].
-        step_s: integration step, ROW_S divided by a whole number [s].
+    Events are at whole steps of `step_s`, which divides ROW_S; the rows' times (n,) rise, multiples of ROW_S. All in s.
     """
     opened = {case.network.branch_index(e.from_bus, e.to_bus) for e in events if isinstance(e, LineTrip)}
     splits = len(case.network.parts_without(tuple(opened))) > 1
     # The other simulators have no protection. Islands need extended physics, which changes no machine.
-    settings = Plant(
-        case=case.network,
-        groups=(),
-        interval_s=ROW_S,
-        simulation_dt=step_s,
-        protection=ProtectionParameters(frequency_min_pu=0.5),
-        limits=ConverterLimitParameters() if splits else None,
-    )
-    duration_s = float(time_s[-1])
-    simulator = Simulator(settings, duration_s=duration_s)
-    scenario = Scenario(
-        name=case.network.name,
-        wind_speed=np.zeros((0, 1)),
-        events=tuple(events),
-        duration_s=duration_s,
-        load_noise_bus=case.network.bus_numbers[0],
-    )
-    simulator.start(0, scenario, ())
+    limits = ConverterLimitParameters() if splits else None
+    given = {"protection": ProtectionParameters(frequency_min_pu=0.5), "limits": limits, "simulation_dt": step_s}
+    duration_s, noise_bus = float(time_s[-1]), case.network.bus_numbers[0]
+    simulator = Simulator(Plant(case=case.network, groups=(), interval_s=ROW_S, **given), duration_s=duration_s)
+    what = scenario(*events, wind=np.zeros((0, 1)), duration_s=duration_s, load_noise_bus=noise_bus)
+    simulator.start(0, what, ())
     _require_power_flow(case, simulator)
     table = np.array(sampled(simulator, time_s, _columns))
     return dict(zip(case.columns, table.T, strict=True))
@@ -82,14 +68,6 @@ def _require_power_flow(case: Case, simulator: Simulator) -> None:
 
 def _columns(simulator: Simulator) -> np.ndarray:
     reference, power, voltage = simulator.env_values("angle"), machine_powers(simulator), simulator.bus_voltages()
-    return np.concatenate(
-        [
-            simulator.machine_values("speed")[0],
-            power.real,
-            power.imag,
-            simulator.machine_values("torque")[0],
-            simulator.machine_values("angle")[0] + reference,
-            np.abs(voltage),
-            np.angle(voltage * np.exp(1j * reference)),
-        ]
-    )
+    speed, torque, angle = (simulator.machine_values(name)[0] for name in ("speed", "torque", "angle"))
+    of_buses = np.abs(voltage), np.angle(voltage * np.exp(1j * reference))
+    return np.concatenate([speed, power.real, power.imag, torque, angle + reference, *of_buses])

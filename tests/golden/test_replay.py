@@ -77,21 +77,13 @@ def held_groups(name: str, power_mw: float, **more) -> Simulator:
     times, trace = read_trace(GOLDEN / name / "a.csv")
     units = dict(zip(case.keys, case.network.machines, strict=True))
     keys = [key for key in units if key[0] != "2"]
-    settings = plant(
-        limits=False,
-        voltage=False,
-        case=dataclasses.replace(case.network, machines=tuple(units[key] for key in keys)),
-        control=parameters.GridFormingParameters(
-            inertia_constant_s=0.5 * units["2a"].two_h_s,
-            droop_gain_pu=units["2a"].damping_pu,
-            reactance_pu=units["2a"].x_d_transient,
-        ),
-        interval_s=ROW_S,
-        simulation_dt=ROW_S / 20.0,
-        **more,
-    )
+    network, unit = dataclasses.replace(case.network, machines=tuple(units[key] for key in keys)), units["2a"]
+    swing = {"inertia_constant_s": 0.5 * unit.two_h_s, "droop_gain_pu": unit.damping_pu}
+    control = parameters.GridFormingParameters(reactance_pu=unit.x_d_transient, **swing)
+    times_s = {"interval_s": ROW_S, "simulation_dt": ROW_S / 20.0}
+    settings = plant(limits=False, voltage=False, case=network, control=control, **times_s, **more)
     law = get_law("mppt", settings.turbine)
-    power = case.power["2a"].real * case.network.base_mva / units["2a"].rating_mva
+    power = case.power["2a"].real * case.network.base_mva / unit.rating_mva
     wind = (power / tracking_point(0.0, settings.turbine).power_coefficient) ** (1.0 / 3.0)
     wind /= settings.turbine.wind_power_pu_per_cubic_wind ** (1.0 / 3.0)
     events = (LoadStep(time_s=t, bus=bus, power_mw=p) for t, bus, p in ((5.0, 2, power_mw), (30.0, 3, 75.0)))
@@ -171,40 +163,24 @@ class IndependentConverter:
         deviation, rotor, drawn = x[1] - 1.0, x[3], max(power, self.P_MIN)
         tracked = min(np.interp(x[1] + shift, (0.992, 1.0, 1.008), self.k) * rotor**3, most)
         over, under = self.K_I * (most - power), self.K_I * (self.P_MIN - power)
-        return np.array(
-            [
-                self.OMEGA_N * (deviation + shift),
-                (tracked - power + self.DROOP * (x[2] - deviation)) / (2.0 * self.H),
-                (deviation - x[2]) / self.TAU,
-                (self.captured(rotor) - drawn) / (2.0 * self.H_ROTOR * rotor),
-                0.0 if x[4] >= 0.0 and over > 0.0 else over,
-                0.0 if x[5] <= 0.0 and under < 0.0 else under,
-                power,
-                drawn - power,
-                drawn - power - x[8] / self.COOLING_S,
-                self.OMEGA_N * (x[10] - 1.0),
-                ramp,
-            ]
-        )
+        swing = (tracked - power + self.DROOP * (x[2] - deviation)) / (2.0 * self.H)
+        accelerated = (self.captured(rotor) - drawn) / (2.0 * self.H_ROTOR * rotor)
+        moving = [self.OMEGA_N * (deviation + shift), swing, (deviation - x[2]) / self.TAU, accelerated]
+        limiters = [0.0 if x[4] >= 0.0 and over > 0.0 else over, 0.0 if x[5] <= 0.0 and under < 0.0 else under]
+        energies = [power, drawn - power, drawn - power - x[8] / self.COOLING_S]
+        return np.array([*moving, *limiters, *energies, self.OMEGA_N * (x[10] - 1.0), ramp])
 
     def run(self, changes: list[tuple[float, float, float]], times: np.ndarray) -> dict[str, np.ndarray]:
         """Return numbers at times [s]; a change is an instant [s], a jump [rad] and the ramp from then on [p.u./s]."""
-        state, ramp, rows = self.start.copy(), 0.0, []
+        state, ramp, rows, fine = self.start.copy(), 0.0, [], {"max_step": 0.01, "rtol": 1e-9, "atol": 1e-11}
         edges = [0.0, *(t for t, _, _ in changes), float(times[-1])]
         for place, (begin, end) in enumerate(itertools.pairwise(edges)):
             if place:
                 state[9] += changes[place - 1][1]
                 ramp = changes[place - 1][2]
             wanted = times[(times > begin) & (times <= end)]
-            done = solve_ivp(
-                lambda _t, x, r=ramp: self.rates(x, r),
-                (begin, end),
-                state,
-                t_eval=np.unique(np.append(wanted, end)),
-                max_step=0.01,
-                rtol=1e-9,
-                atol=1e-11,
-            )
+            at = np.unique(np.append(wanted, end))
+            done = solve_ivp(lambda _t, x, r=ramp: self.rates(x, r), (begin, end), state, t_eval=at, **fine)
             rows += [[*x, *self.seen(x)] for t, x in zip(done.t, done.y.T, strict=True) if t in wanted]
             state = done.y[:, -1].copy()
         result = np.array(rows)
@@ -214,16 +190,10 @@ class IndependentConverter:
 
 
 def test_limits_of_power_and_torque_and_the_chopper_agree_with_a_second_implementation():
-    network = NetworkCase(
-        name="a group at an imposed source",
-        base_mva=100.0,
-        frequency_hz=50.0,
-        slack_bus=1,
-        buses=(Bus(number=1, voltage_pu=1.0), Bus(number=2, voltage_pu=1.0)),
-        branches=(Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=0.1),),
-        machines=(),
-        sources=(Source(bus=1, reactance=0.05),),
-    )
+    buses = Bus(number=1, voltage_pu=1.0), Bus(number=2, voltage_pu=1.0)
+    lines, sources = (Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=0.1),), (Source(bus=1, reactance=0.05),)
+    base = {"name": "a group at an imposed source", "base_mva": 100.0, "frequency_hz": 50.0, "slack_bus": 1}
+    network = NetworkCase(buses=buses, branches=lines, machines=(), sources=sources, **base)
     settings = Plant(
         case=network,
         groups=(parameters.WtgGroup(bus=2, n_turbines=20.0),),

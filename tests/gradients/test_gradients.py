@@ -123,7 +123,6 @@ def test_a_step_is_replayed_to_the_last_bit(settings, monkeypatch):
     for own in actions_of(tape, 60):
         tape.step(own)
     simulator, after = tape.batch.simulator, list[np.ndarray]()
-
     monkeypatch.setattr("wtg_gym.gradients.tape.pull", lambda b, *more: [pull(b, *more), after.append(b.copy())])
     carried, terms = np.zeros((NUM_ENVS, tape.n_carried)), np.ones((NUM_ENVS, len(COST_TERMS)))
     for step in range(60):

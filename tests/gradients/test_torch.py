@@ -92,7 +92,6 @@ def test_torch_and_numpy_agree_to_the_last_bit(settings):
     given = torch.tensor(actions, requires_grad=True)
     torch.stack([episodes.step(own)[1] for own in given]).sum().backward()
     assert np.array_equal(given.grad.numpy(), result.actions)
-
     played = episodes.tape.play(scenarios, actions)
     of_actions, _, _ = episodes.tape.back(outputs=np.ones_like(played.outputs))
     episodes.start(scenarios)

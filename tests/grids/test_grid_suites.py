@@ -178,7 +178,6 @@ def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp
     assert {group.bus for group in grid.groups} == {33, 35} == set(grid.replaced)
     assert grid.case.load_mw == pytest.approx(6254.23)
     assert all(bus.x is not None for bus in grid.case.buses)
-
     rows = printed_by(capsys, "grid", "check", str(output)).out
     assert "39 buses, 46 branches" in rows and "all 10 machines are typical ones" in rows
     short = ("--scenarios", "1", "--duration", "2", "--entries", "mppt", "--json")

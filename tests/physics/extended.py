@@ -28,15 +28,8 @@ CURRENT_MAX = parameters.ConverterLimitParameters().current_max_pu
 classical = functools.partial(classical_machine, rating_mva=100.0, dispatch_mw=0.0, two_h_s=10.0, x_d_transient=0.2)
 
 
-def plant(
-    *,
-    table: bool = False,
-    limits: bool | parameters.ConverterLimitParameters = True,
-    voltage: bool | parameters.VoltageControlParameters = True,
-    energy: bool = True,
-    dead_band: float = 0.0,
-    **more,
-) -> Plant:
+def plant(*, table=False, limits=True, voltage=True, energy=True, dead_band: float = 0.0, **more) -> Plant:
+    """Extended plant of these options; limits and voltage control may be given by their parameters."""
     governor = HydroGovernorParameters if table else GovernorParameters
     turbine = parameters.nrel_5mw if table else parameters.TurbineParameters
     given = {

@@ -65,6 +65,9 @@ def event(**changes):
     return lambda: sc.Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "events": [{**step, **changes}]})
 
 
+FAULT, NO_LINE = {"time_s": 1.0, "bus": 4, "clears_after_s": 0.1}, ((1,), (1, 2, 3), 5, "24", (2.5, 4), (True, 2))
+FEW, MANY = (Plant(groups=(p.WtgGroup(bus=2, n_turbines=n),) * 2) for n in (0.01, 40.0))
+FIRST = "WTG group 1 of 2 at bus 2"
 RECORDS = [
     (of(p.GridFormingParameters, inertia_constant_s=-5.0), r"= -5 s is outside the allowed range 0.001 … 10000 s"),
     (of(p.GridFormingParameters, frequency_min_pu=1.004), r"< frequency_setpoint_pu < .* hold, got 1.004, 1, 1.008"),
@@ -89,12 +92,9 @@ RECORDS = [
     (given(load_noise_mw=np.array([1.0, 0.0])), "must start at 0 MW, got 1 MW"),
     (given(events=sc.LoadTrip(time_s=1.0, bus=3)), "events must be tuple.*, got LoadTrip"),
     (lambda: sc.Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "windd": 1}), r"unknown scenario keys"),
-    (of(sc.Fault, time_s=1.0, bus=4, clears_after_s=0.1, reactance_pu=0.0), "reactance_pu = 0 p.u. is outside"),
+    (of(sc.Fault, **FAULT, reactance_pu=0.0), "reactance_pu = 0 p.u. is outside"),
     (of(sc.Fault, time_s=1.0, bus=4, clears_after_s=0.0), "clears_after_s = 0 s is outside"),
-    *(
-        (of(sc.Fault, time_s=1.0, bus=4, clears_after_s=0.1, opens=opens), "opens must be the two buses of a line, got")
-        for opens in ((1,), (1, 2, 3), 5, "24", (2.5, 4), (True, 2))
-    ),
+    *((of(sc.Fault, **FAULT, opens=opens), "opens must be the two buses of a line, got") for opens in NO_LINE),
     (of(sc.ReactanceStep, time_s=1.0, from_bus=1, to_bus=2, factor=0.0), "factor = 0 is outside"),
     (of(sc.PhaseJump, time_s=1.0, bus=1, angle_deg=181.0), "angle_deg = 181 deg is outside"),
     (given(committed=0.0), "committed = 0 is outside"),
@@ -116,10 +116,7 @@ RECORDS = [
     (of(Plant, shedding=STAGES), "the shedding stages disconnect 110 % of the load"),
     *((lambda n=n: Simulator(Plant(), num_envs=n), "num_envs must be a whole number") for n in (0, 1.5, True)),
     (lambda: Simulator(Plant(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
-    (
-        lambda: Simulator(Plant(groups=(p.WtgGroup(bus=2, n_turbines=0.01),) * 2)),
-        "WTG group 1 of 2 at bus 2 needs an internal voltage of .* p.u. to hold 1.045 p.u. .* at most 2 p.u.",
-    ),
+    (lambda: Simulator(FEW), f"{FIRST} needs an internal voltage of .* p.u. to hold 1.045 p.u. .* at most 2 p.u."),
 ]
 
 
@@ -164,40 +161,29 @@ UNFIT = [
 
 GREEDY = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
 WINDY = scenario(wind=[[11.4], [11.4]], load_level=1.5)
+EVEN, SLOW = scenario(wind=[[8.0], [8.0]]), scenario(wind=[[8.0], [4.5]])
 LOW_VOLTAGE = p.ProtectionParameters(internal_voltage_max_pu=1.45)
-FAST_ROTOR = p.ProtectionParameters(rotor_speed_min_pu=0.5)
+FAST_ROTOR = plant(protection=p.ProtectionParameters(rotor_speed_min_pu=0.5))
+WEAK = plant(limits=p.ConverterLimitParameters(power_max_pu=0.5))
 LOW_GATE = with_machine(governor=machine_parameters.HydroGovernorParameters(gate_max_pu=0.1))
 STARTS = [
-    (
-        lambda: Simulator(Plant()).start(0, scenario(wind=[[8.0], [8.0]]), (GREEDY, GREEDY)),
-        "WTG group 1 of 2 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u.",
-    ),
-    (
-        lambda: started(Plant(groups=(p.WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
-        "machine at bus 1 would start at -.* p.u. of gate, beyond its gate limits 0 … 1.2 p.u.",
-    ),
+    (lambda: started(Plant(), EVEN, GREEDY), f"{FIRST} has no equilibrium at a wind of 8 m/s with k = 3 p.u."),
+    (lambda: started(MANY, scenario(), "mppt"), "would start at -.* p.u. of gate, beyond its gate limits 0 … 1.2 p.u."),
     (lambda: started(plant(table=True, case=LOW_GATE), scenario()), "p.u. of hydro gate, beyond its hydro gate limits"),
+    (lambda: started(WEAK, scenario()), f"{FIRST} would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u."),
+    (lambda: started(Plant(protection=LOW_VOLTAGE), WINDY), f"{FIRST} needs .* at most 1.45"),
     (
-        lambda: started(plant(limits=p.ConverterLimitParameters(power_max_pu=0.5)), scenario()),
-        "WTG group 1 of 2 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u.",
-    ),
-    (lambda: started(Plant(protection=LOW_VOLTAGE), WINDY), "WTG group 1 of 2 at bus 2 needs .* at most 1.45"),
-    (
-        lambda: simulate(scenario(wind=[[8.0], [4.5]]), LAW, plant(protection=FAST_ROTOR)),
+        lambda: simulate(SLOW, LAW, FAST_ROTOR),
         "WTG group 2 of 2 at bus 2 would start at 0.4.* p.u. in a wind of 4.5 m/s, below the under-speed trip at 0.5 p",
     ),
 ]
 
 STANDARD, SHARED = get_suite("standard"), get_suite("standard-v1").distributions[0]
-WIND = draws.Wind()
+WIND, SPLITS = draws.Wind(), "train 1000000 … 2147483647, validation 10000 … 10099, test 20000"
 
 
 def drawn(*records: draws.Record, **settings) -> ScenarioDistribution:
     return ScenarioDistribution(name="mine", records=records, **settings)
-
-
-def sensors_of(**changes):
-    return lambda: SensorDistribution(**changes)
 
 
 SUITES = [
@@ -229,17 +215,14 @@ SUITES = [
     (lambda: STANDARD.distributions[0].draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
     (lambda: SHARED.check_turbines([5.0, 5.0]), "10 turbines give .* % of a load .* penetration of 40 … 78 %"),
     (lambda: SHARED.draw_many(range(20), 3, [90.0] * 3), "winds of 8.5 … 11 m/s hardly ever give"),
-    (sensors_of(delay_s=(0.1, 0.25)), "whole numbers of 0.1 s"),
-    (sensors_of(wind_bias=math.nan), "wind_bias = nan.*0 … 0.2"),
-    (sensors_of(wind_sensor="no"), "wind_sensor must be bool"),
+    (of(SensorDistribution, delay_s=(0.1, 0.25)), "whole numbers of 0.1 s"),
+    (of(SensorDistribution, wind_bias=math.nan), "wind_bias = nan.*0 … 0.2"),
+    (of(SensorDistribution, wind_sensor="no"), "wind_sensor must be bool"),
     (
-        sensors_of(delay=0.1),
+        of(SensorDistribution, delay=0.1),
         "unknown arguments .*; known arguments of SensorDistribution: .*, wind_sensor; did you mean 'delay_s'",
     ),
-    *(
-        (lambda seed=seed: STANDARD.scenario(seed), "train 1000000 … 2147483647, validation 10000 … 10099, test 20000")
-        for seed in (9_999, 10_100, 2**31, 20_000.0, True)
-    ),
+    *((lambda seed=seed: STANDARD.scenario(seed), SPLITS) for seed in (9_999, 10_100, 2**31, 20_000.0, True)),
     (lambda: get_suite("paper").scenario(0, duration_s=-1.0), "duration_s = -1 s"),
     (lambda: dataclasses.replace(STANDARD, validation=range(20_100, 20_300)), "overlap"),
     (lambda: Suite(name="empty", description="", duration_s=60.0), "either distributions or cases"),

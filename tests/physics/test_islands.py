@@ -45,12 +45,10 @@ def rows_of(simulator: Simulator, kind: Kind, units: list[int]) -> np.ndarray:
 
 def alone(settings: Plant, buses: tuple[int, ...], slack: int) -> Plant:
     whole = settings.case
-    parts = {
-        "buses": tuple(bus for bus in whole.buses if bus.number in buses),
-        "branches": tuple(b for b in whole.branches if b.from_bus in buses and b.to_bus in buses),
-    }
+    inside = tuple(bus for bus in whole.buses if bus.number in buses)
+    lines = tuple(b for b in whole.branches if b.from_bus in buses and b.to_bus in buses)
     machines, groups = (tuple(u for u in units if u.bus in buses) for units in (whole.machines, settings.groups))
-    case = dataclasses.replace(whole, slack_bus=slack, machines=machines, **parts)
+    case = dataclasses.replace(whole, slack_bus=slack, buses=inside, branches=lines, machines=machines)
     return dataclasses.replace(settings, case=case, groups=groups)
 
 

@@ -19,11 +19,8 @@ DRAWN = [suite for suite in SUITES.values() if suite.distributions]
 #: sensor has the distributions of another.
 BY_NAME = {source.name: (suite, source) for suite in DRAWN for source in suite.distributions}
 DISTRIBUTIONS = [source.changed({draws.Wind: {"penetration": None}}) for _, source in BY_NAME.values()]
-SHARED = [
-    ([group.n_turbines for group in suite.plant.groups], source)
-    for suite, source in BY_NAME.values()
-    if source.wind.penetration is not None
-]
+WITH_SHARE = [own for own in BY_NAME.values() if own[1].wind.penetration is not None]
+SHARED = [([group.n_turbines for group in suite.plant.groups], source) for suite, source in WITH_SHARE]
 #: Twenty load events need more than one block of random numbers.
 BUSY = ScenarioDistribution(name="busy").changed({draws.LoadEvents: {"number": (20, 20), "size_mw": (0.0, 1.0)}})
 #: Loads of the IEEE 14-bus system at load level 1 [MW].

@@ -29,10 +29,8 @@ from wtg_gym.tasks import V1
 
 FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]
 SECOND = [suite for suite in SUITES.values() if suite.task.version == "v1"]
-STANDARD, STANDARD_V1 = (
-    dataclasses.replace(get_suite(name), validation=range(10_000, 10_002), test=range(20_000, 20_002))
-    for name in ("standard", "standard-v1")
-)
+FEW = {"validation": range(10_000, 10_002), "test": range(20_000, 20_002)}
+STANDARD, STANDARD_V1 = (dataclasses.replace(get_suite(name), **FEW) for name in ("standard", "standard-v1"))
 NOISIER = STANDARD.distributions[0].changed({LoadNoise: {"standard_deviation_mw": 1.01}})
 CHANGES = [
     (STANDARD, {"drawn_from": {"": (NOISIER,)}}),
@@ -56,7 +54,6 @@ def test_suites_are_those_of_the_benchmark():
 def drawn(request):
     """A suite of the benchmark, its hash, and the scenarios of validation and test that the hash was computed of."""
     suite, scenarios, real = dataclasses.replace(get_suite(request.param)), [], Suite.scenarios
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Suite, "scenarios", lambda *own: [result := real(*own), scenarios.extend(result)][0])
         return suite, suite.hash, scenarios

@@ -1,6 +1,5 @@
 """Policy files, good and hostile, made by hand; nodes are written as ONNX writes them."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -39,11 +38,7 @@ def folder(path: Path, content: bytes | ModelProto | None = None, toml: str | by
 
 
 def worker(script: Path, code: str) -> str:
-    """Write a program for a policy's process that runs code, which may replace functions of `worker`, before it begins.
-
-    Returns:
-        its path.
-    """
+    """Path of a program for a policy's process that first runs code, which may replace functions of `worker`."""
     place = str(Path(locked_worker.__file__).parent)
     start = f"import sys\nsys.path.insert(0, {place!r})\nimport locked_worker as worker\n"
     script.write_text(f"{start}{code}\nworker.main()\n", encoding="utf-8")
@@ -73,13 +68,7 @@ def nodes_of(text: str, body=None):
     return nodes
 
 
-def model(
-    nodes=(LINEAR,),
-    inputs=(OBSERVATION,),
-    outputs=(ACTION,),
-    constants=(WEIGHTS,),
-    domains: Sequence[tuple[str, int]] = (),
-) -> ModelProto:
+def model(nodes=(LINEAR,), inputs=(OBSERVATION,), outputs=(ACTION,), constants=(WEIGHTS,), domains=()) -> ModelProto:
     graph = helper.make_graph(list(nodes), "g", list(inputs), list(outputs), list(constants))
     imports = [helper.make_opsetid("", 17), *(helper.make_opsetid(*domain) for domain in domains)]
     return helper.make_model(graph, opset_imports=imports, ir_version=8)
@@ -146,10 +135,7 @@ def varint(number: int) -> bytes:
 
 
 def hidden(content: ModelProto) -> bytes:
-    """The graph of a model behind a key that readers take in two ways: as that of a graph, or as unknown.
-
-    Such a key has a bit more than 32.
-    """
+    """The graph of a model behind a key of more than 32 bits: readers take it as that of a graph, or as unknown."""
     graph = content.graph.SerializeToString()
     return varint(7 << 3 | 2 | 1 << 32) + varint(len(graph)) + graph
 

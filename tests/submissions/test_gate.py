@@ -1,5 +1,6 @@
 """The gate accepts honest submissions and refuses the others: folders, and entry.toml in every shape."""
 
+import contextlib
 import os
 import re
 import shutil
@@ -21,14 +22,9 @@ from wtg_gym.tasks import V0, V1
 
 SHIPPED = ROOT / "agents" / "policies" / "ppo-v1-0"
 DIFFERENT = {
-    "authors": '["John Roe"]',
-    "action_mode": '"k"',
-    "environment": '"GFMWTG-14bus-v1"',
-    "observation_mode": '"privileged"',
-    "per_group": "true",
-    "strategy": '"mppt"',
-    "description": '"Better"',
-    "trained_on": '"The test scenarios"',
+    **{"authors": '["John Roe"]', "action_mode": '"k"', "environment": '"GFMWTG-14bus-v1"', "per_group": "true"},
+    **{"observation_mode": '"privileged"', "strategy": '"mppt"'},
+    **{"description": '"Better"', "trained_on": '"The test scenarios"'},
 }
 YOURS = TOML.replace("Mine", "Yours")
 POLICIES = ROOT / "agents" / "policies"
@@ -43,6 +39,8 @@ TAKEN_NAMES = """
 baselines; policies; Policies; b a s e l i n e s; baselines.mppt; Coordinated-Piecewise; coordinated piecewise;
 coordinated (tuned); Fast Droop; fast droop.; TIP_SPEED_FEEDBACK; PPO k 0; ppo k, tau; Iinear-feedback
 """
+TAKEN = [("folder", name) for name in TAKEN_FOLDERS.split()]
+TAKEN += [("entry.toml", name.strip()) for name in TAKEN_NAMES.split(";")]
 VERSIONS = [
     ('"\\u0065nvironment" = "GFMWTG-14bus-v\\u0030"\r\n', "v0"),
     ('environment = "GFMWTG-14bus-v0" # "GFMWTG-14bus-v1"\n', "v0"),
@@ -93,13 +91,8 @@ worker._Served.answer = mixed"""
 
 def _socket(path: Path) -> None:
     # A path of a socket has at most 108 bytes, so it is made from within its folder.
-    before = os.getcwd()
-    os.chdir(path.parent)
-    try:
-        with socket.socket(socket.AF_UNIX) as one:
-            one.bind(path.name)
-    finally:
-        os.chdir(before)
+    with contextlib.chdir(path.parent), socket.socket(socket.AF_UNIX) as one:
+        one.bind(path.name)
 
 
 def _file(content: bytes) -> Callable[[Path], object]:
@@ -145,10 +138,10 @@ def test_link_to_a_folder_and_what_is_no_folder_are_refused(tmp_path):
             read_files(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["a;touch x", "$(id)", "--weak-isolation", "mine\n::error::hi", ".hidden", "ü", "a.toml", "AUX", "con.x", "a."],
-)
+SHELL = ["a;touch x", "$(id)", "--weak-isolation", "mine\n::error::hi", ".hidden", "ü", "a.toml", "AUX", "con.x", "a."]
+
+
+@pytest.mark.parametrize("name", SHELL)
 def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name, tmp_path):
     (tmp_path / name).mkdir()
     with pytest.raises(ValueError, match="the folder's name must be"):
@@ -258,13 +251,7 @@ def refused(path: Path) -> tuple[str, str]:
     return refusal.name, refusal.reason
 
 
-@pytest.mark.parametrize(
-    ("check", "name"),
-    [
-        *(("folder", name) for name in TAKEN_FOLDERS.split()),
-        *(("entry.toml", name.strip()) for name in TAKEN_NAMES.split(";")),
-    ],
-)
+@pytest.mark.parametrize(("check", "name"), TAKEN)
 def test_neither_folder_nor_entry_has_a_name_by_which_something_is_found(check, name, tmp_path):
     of_folder = check == "folder"
     path = folder(tmp_path / name) if of_folder else folder(tmp_path / "a", toml=TOML.replace("Mine", name))

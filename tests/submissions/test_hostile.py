@@ -52,9 +52,7 @@ ATTACKS: dict[str, dict[str, Build]] = {
         "nested graphs, 50,000 deep": lambda: models.nested(50_000),
         "weights in /proc/self/environ": lambda: models.external("/proc/self/environ"),
         "weights at a memory address": lambda: models.external(**_ADDRESS),
-        "a graph with a cycle": _after(
-            "first = Add(linear, second); second = Add(first, linear); action = Identity(second)"
-        ),
+        "a graph with a cycle": _after("a = Add(linear, b); b = Add(a, linear); action = Identity(b)"),
         "an operator that reads files": lambda: make(
             models.nodes_of("action = ai.onnx.contrib.ReadFile(observation)"), domains=[("ai.onnx.contrib", 1)]
         ),
@@ -66,10 +64,7 @@ ATTACKS: dict[str, dict[str, Build]] = {
         "actions of another shape than declared": lambda: make(
             models.nodes_of("twice = Concat<axis = 0>(observation, observation); action = MatMul(twice, weights)")
         ),
-        "10¹⁰ numbers": _after(
-            "all = ConstantOfShape(size); most = ReduceMax<keepdims = 0>(all); action = Add(linear, most)",
-            size=[10**10],
-        ),
+        "10¹⁰ numbers": _after("a = ConstantOfShape(n); b = ReduceMax(a); action = Add(linear, b)", n=[10**10]),
         "an endless loop": models.endless,
     },
     "rollout": {"NaN at the observations with which episodes begin, and nowhere else": models.trap},

@@ -119,6 +119,7 @@ def unknown_annotation() -> System:
     return System(GUESTS, system_of_none, ("copy",))
 
 
+ONE = {GUESTS: 1, HOSTS: 1}
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "argument": (named("host_haet"), "'host_haet' of .* guests, nor of what they see: hosts; did you mean 'host_heat'"),
     "argument without its label": (named("far_rating", "ratting"), "'ratting' .* did you mean 'rating'"),
@@ -148,10 +149,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "state": (kind(rows={"charge": float}, states=("charg",)), "part 'charg' .* mean 'charge'"),
     "two parts of a name": (kind(rows={"a": float}, constants={"a": float}), "two parts .* 'a'"),
     "two states of a name": (kind(rows={"a": float}, states=("a", "a")), "a state twice: a, a"),
-    "part of the integration": (
-        kind(rows={"a": float}, states=("a",), scratch={"a_base": Pair}),
-        "two parts with the name 'a_base'",
-    ),
+    "part of integration": (kind(rows={"a": float}, states=("a",), scratch={"a_base": Pair}), "two parts .* 'a_base'"),
     "part and number": (kind(rows={"a_re": float, "a": Pair}), "a part, and a number within another one, .* 'a_re'"),
     "label": (kind(sees={"own": HOSTS}), "the label 'own' is that of the kind itself"),
     "part written twice": (named("size", writes=("copy", "own_copy")), "writes a number twice: copy, own_copy"),
@@ -162,7 +160,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "vector in rows": (lambda: Product(HOSTS, "flow", GUESTS, "state", "copy"), "no part 'state' in scratch"),
     "real vector": (lambda: Product(HOSTS, "flow", GUESTS, "level", "copy"), "must be complex numbers"),
     "link": (
-        lambda: Layout({GUESTS: 1, HOSTS: 1}, {(GUESTS, "hots"): np.array([0])}),
+        lambda: Layout(ONE, {(GUESTS, "hots"): np.array([0])}),
         "unknown labels of what guests see ['hots']; known labels of what guests see: host, far_; did you mean 'host'",
     ),
     "row by a name of two": (lambda: place_of(GUESTS, "re"), "2 numbers of guests have the name 're'"),
@@ -185,10 +183,10 @@ def ran(one: System, layout: Layout, block: list[float]) -> tuple[list[float], l
 
 def test_full_names_say_which():
     block = [*(1.0, 2.0), 30.0, *(0.0,) * 3, 4.0, *(5.0, 6.0)]
-    _, scratch = ran(function(of_two, "own_level")(), PlantMap({GUESTS: 1, HOSTS: 1}, {}), block)
+    _, scratch = ran(function(of_two, "own_level")(), PlantMap(ONE, {}), block)
     assert scratch[-2:] == [26.0, 0.0]
     of_record = named("own_state_im", writes=("host_level",))()
-    assert ran(of_record, PlantMap({GUESTS: 1, HOSTS: 1}, {}), block)[1][-2:] == [0.0, 2.0]
+    assert ran(of_record, PlantMap(ONE, {}), block)[1][-2:] == [0.0, 2.0]
 
 
 def test_a_number_that_is_written_by_another_name_than_it_is_read_by_is_read_first():
