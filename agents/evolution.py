@@ -166,7 +166,10 @@ class Population:
         self._shape, self._reliability = (n_candidates, n_scenarios), reliability
 
     def objectives(self, policy: EvolvedPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
-        """Return what each candidate, weights and then biases of the last layer, should lower [100 points] (n,)."""
+        """Return what each candidate should lower, in hundreds of points, mean over the scenarios (n_candidates,).
+
+        Candidates are weights of the last layer, then its biases (n_candidates, n).
+        """
         batch, (n, n_scenarios), last = self.batch, self._shape, policy.last
         for candidate in range(n):
             first = candidate * n_scenarios

@@ -59,7 +59,10 @@ class Hyperparameters(Checked):
 
 
 class GradientPolicy(nn.Module):
-    """An LSTM, if its width is not zero, then tanh layers, from the first entries of an observation to the actions."""
+    """An LSTM, if its width is not zero, then tanh layers to the actions; one layer alone is linear up to its tanh.
+
+    It looks at the first `n_observation` entries of an observation.
+    """
 
     def __init__(self, n_observation: int, n_action: int, hidden: Sequence[int] = (), lstm: int = 0) -> None:
         super().__init__()

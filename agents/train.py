@@ -118,7 +118,10 @@ def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
 
 
 def train(run: Run) -> None:
-    """Train to the end, from the last checkpoint on if there is one; all files go to the run's folder."""
+    """Train to the end, from the last checkpoint on if there is one; all files go to the run's folder.
+
+    A wrong hyperparameter, or a checkpoint that is gone or damaged, is a ValueError.
+    """
     # Sums over several threads depend on which of them ends first, those that draw the first weights among them.
     torch.set_num_threads(1)
     settings, saved = run.settings, run.checkpoint

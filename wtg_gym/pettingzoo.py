@@ -49,7 +49,8 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         if "observation_mode" in arguments:
-            raise TypeError("observation_mode cannot be chosen: agents see their own groups, and state() is privileged")
+            what = "agents see what their own groups measure, and state() is the privileged observation"
+            raise TypeError(f"observation_mode cannot be chosen: {what}")
         #: The environment that the agents share.
         seen = {**arguments, "observation_mode": "privileged"}
         self.single_env = GFMWTGEnv(render_mode=render_mode, **seen)

@@ -143,8 +143,13 @@ def _env_info(infos: Info, env_index: int) -> Info:
 class _Monitor(VecMonitor):
     """The monitor of Stable-Baselines3, with sums that an interrupt leaves in step, and with copies."""
 
-    reset: Any = undivided(VecMonitor.reset)
-    step_wait: Any = undivided(VecMonitor.step_wait)
+    @undivided
+    def reset(self) -> Any:
+        return super().reset()
+
+    @undivided
+    def step_wait(self) -> Any:
+        return super().step_wait()
 
     def __getstate__(self) -> dict[str, Any]:
         # What belongs to the class cannot be copied, and need not.

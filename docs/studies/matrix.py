@@ -51,7 +51,7 @@ CHANGES: dict[str, Callable[[Scenario], Scenario]] = {
 def entries_of(suite: str) -> list[Entry]:
     """Return all entries; of several training seeds the first."""
     entries = chosen_entries(("baselines", "policies"), suite)
-    return list({entry.name: entry for entry in reversed(entries)}.values())
+    return list(reversed({entry.name: entry for entry in reversed(entries)}.values()))
 
 
 def on_suite(suite: str) -> Results:

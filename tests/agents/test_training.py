@@ -14,10 +14,10 @@ from typing import get_args, get_type_hints
 
 import pytest
 import torch
-import trainings
 import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from agents import shipped
 from agents import train as training
 from agents.export import export
 from agents.export import main as export_command
@@ -259,7 +259,7 @@ def test_files_without_a_section_in_plain_yml_are_refused(content, text, tmp_pat
 
 
 def test_every_trained_policy_is_the_one_of_its_record():
-    records = json.loads(trainings.RECORDS.read_text(encoding="utf-8"))
+    records = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))
     for folder in policy_folders():
         (entry,) = load_entries(folder)
         # One feedback is older than the records; policies of others have none.
@@ -272,9 +272,9 @@ def test_every_trained_policy_is_the_one_of_its_record():
 
 
 def test_the_page_has_the_table_and_the_curves_that_the_command_makes():
-    assert trainings.table() in trainings.PAGE.read_text(encoding="utf-8")
-    records = json.loads(trainings.RECORDS.read_text(encoding="utf-8")).values()
-    assert len(trainings.curves().axes[0].lines) == sum("curve" in record for record in records)
+    assert shipped.table() in shipped.PAGE.read_text(encoding="utf-8")
+    records = json.loads(shipped.RECORDS.read_text(encoding="utf-8")).values()
+    assert len(shipped.curves().axes[0].lines) == sum("curve" in record for record in records)
 
 
 def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
@@ -287,13 +287,13 @@ def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
     names = ("timesteps", "score", "wall_time_s")
     run.curve = [{**dict(zip(names, row, strict=True)), "marked": 1.0} for row in rows]
     run.write()
-    monkeypatch.setattr(trainings, "PICTURE", tmp_path / "training")
+    monkeypatch.setattr(shipped, "PICTURE", tmp_path / "training.svg")
     for name in ("RECORDS", "PAGE"):
-        monkeypatch.setattr(trainings, name, Path(shutil.copy(getattr(trainings, name), tmp_path / name)))
-    assert trainings.main([str(tmp_path / "run")]) == 0
-    record = json.loads(trainings.RECORDS.read_text(encoding="utf-8"))["ppo-v1-2"]
+        monkeypatch.setattr(shipped, name, Path(shutil.copy(getattr(shipped, name), tmp_path / name)))
+    assert shipped.main([str(tmp_path / "run")]) == 0
+    record = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))["ppo-v1-2"]
     assert (record["steps"], record["validation_score"], record["wall_time_s"]) == (2_150_400, 102.5, 70)
-    assert "| 1.2 |" in trainings.table()
+    assert "| 1.2 |" in shipped.table()
 
 
 def test_modes_of_the_commands_are_those_of_the_environment():

@@ -1,5 +1,6 @@
 """What a step is, told and charged, and that every environment of a batch is a single environment of its own."""
 
+import copy
 import itertools
 
 import numpy as np
@@ -260,3 +261,38 @@ def test_episodes_prepared_together_are_those_that_the_generator_draws():
     # A generator that is set back draws the same episodes again.
     env.np_random.bit_generator.state = before
     assert [(seed, values) for seed, _, values in play(env, None)] == [(seed, values) for seed, _, values in together]
+
+
+def test_rewards_and_copies_do_not_depend_on_how_many_episodes_were_prepared_together():
+    env, one_by_one = GFMWTGEnv(duration_s=2.0), GFMWTGVectorEnv(1, duration_s=2.0)
+    env.np_random = np.random.Generator(np.random.MT19937(5))
+    generator = np.random.Generator(np.random.MT19937(5))
+    for episode in range(6):
+        env.reset()
+        one_by_one.reset(options={"scenarios": [env.batch.draw_seed(generator)]})
+        for single, alone in zip(env.batch.outputs, one_by_one.batch.outputs, strict=True):
+            assert single.tobytes() == alone.tobytes(), episode
+    again = copy.deepcopy(env)
+    assert again.reset()[0].tobytes() == env.reset()[0].tobytes()
+
+
+def test_a_generator_that_others_draw_from_prepares_few_episodes_in_vain(monkeypatch):
+    env, sizes = GFMWTGEnv(version="v0", duration_s=5.0), []
+    env.reset(seed=0)
+    prepare = env.batch.prepare
+    monkeypatch.setattr(env.batch, "prepare", lambda scenarios: sizes.append(len(scenarios)) or prepare(scenarios))
+    for _ in range(10):
+        env.np_random.uniform()
+        env.reset()
+    assert max(sizes) == 2
+
+
+def test_steps_read_the_data_that_the_simulator_holds_now():
+    env, other = GFMWTGEnv(version="v0"), GFMWTGEnv(version="v0")
+    env.reset(seed=0)
+    env.step(np.zeros(4))
+    env.batch.simulator.restore(env.batch.simulator.snapshot())
+    results = [
+        rollouts.started(each, seed=1) and [each.step(np.zeros(4))[0] for _ in range(100)] for each in (env, other)
+    ]
+    assert np.array_equal(*results)

@@ -147,8 +147,9 @@ def recompute(
     processes = scoring.chosen_workers(workers, threads)
     chosen = scoring.chosen_entries(entries, stored.suite)
     with Progress("episodes") as progress:
-        how = {"n_threads": threads, "workers": processes, "on_progress": progress.update}
-        comparison = evaluator.recompute(stored, chosen, **how)
+        comparison = evaluator.recompute(
+            stored, chosen, n_threads=threads, workers=processes, on_progress=progress.update
+        )
     for where, before, now in comparison.circumstances:
         output.note(f"{where} was {before}, is {now}")
     for text in evaluator.departures(stored):

@@ -20,7 +20,8 @@ from wtg_gym.physics.scenario import GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedBatch, Simulator
 from wtg_gym.ranges import is_whole, whole_steps
-from wtg_gym.signals import undivided
+from wtg_gym.signals import HeldSignals, undivided
+from wtg_gym.systems.routines import WIDE
 from wtg_gym.tasks import cost, episode, measured_observation, observation
 
 #: Text of `info["termination_reason"]`: empty while an episode runs or when its time is over.
@@ -111,7 +112,9 @@ class EnvBatch:
         self.reserve_margins = np.full(num_envs, np.nan)
         #: Events of each environment's episode, in their order: tuples of them.
         self.events = _objects([()] * num_envs)
+        #: Arguments of compiled steps that last, and the simulator's data among them: other data need others.
         self._bound: Any = None
+        self._bound_data: BatchData | None = None
         self._no_reasons = np.full(num_envs, "", dtype=object)
         self._no_reasons.setflags(write=False)
         self._seeds = self.suite.seeds(settings.split)
@@ -226,8 +229,8 @@ class EnvBatch:
 
     def _play_reference(self, scenarios: Sequence[Scenario], costs: Floats) -> None:
         """Write what the law that scores 100 has cost up to each control step, (n, n_steps + 1)."""
-        # Several together take little longer than one in a block of its own.
-        at_once = 1 if self.num_envs == len(scenarios) == 1 else EPISODES_AT_ONCE
+        # A block of several takes little longer than one episode alone.
+        at_once = 1 if self.num_envs == len(scenarios) == 1 else min(max(self.num_envs, WIDE), EPISODES_AT_ONCE)
         if at_once not in self._references:
             changes: dict[str, Any] = {"observation_mode": "local", "reward": "cost", "duration_s": self.duration_s}
             settings = replace(self.settings, strategy=self.settings.task.hundred, **changes)
@@ -316,12 +319,9 @@ class EnvBatch:
         """Start one episode in each: some `places` of those that :meth:`prepare` returned, or scenarios."""
         if not isinstance(episodes, PreparedEpisodes):
             episodes = self.prepare(episodes)
-        index, data = np.array(indices, dtype=np.int64), self.simulator.data
+        index = np.array(indices, dtype=np.int64)
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
         self.simulator.start(index, episodes.runs, places=taken)
-        if self.simulator.data is not data:
-            # It holds more events than before.
-            self._bound = None
         for array, first in zip(self._rows, episodes.rows, strict=True):
             array[index] = first[taken]
         outputs = self.outputs
@@ -348,7 +348,7 @@ class EnvBatch:
         where there are several, and prepares `n_prepared` episodes. A ValueError says that an action is not finite;
         nothing has been stepped then.
         """
-        simulator, bound = self.simulator, self._bound or self._bind()
+        simulator, bound = self.simulator, self._bind()
         alone = simulator.threads.n_blocks == 1
         if alone:
             invalid = step_blocks(bound, actions, 0, 1, 0, False)
@@ -373,15 +373,19 @@ class EnvBatch:
 
         `costs` are (n, n_steps + 1), of the first n environments.
         """
-        bound, actions = self._bound or self._bind(), np.zeros((self.num_envs, self.n_action))
+        bound, actions = self._bind(), np.zeros((self.num_envs, self.n_action))
         self.simulator.threads.run(lambda first, last, worker: play_costs(bound, actions, costs, first, last, worker))
 
-    @undivided
     def _bind(self) -> Any:
-        # numba would turn the exception of a signal handler into a SystemError.
-        simulator, of_task = self.simulator, (self.task_data, self.outputs)
-        network = simulator.plant.network
-        self._bound = bind(simulator.blocks, simulator.scratches, network, simulator.data, *of_task)
+        """Return the arguments of compiled steps that last."""
+        # Data are new after a snapshot, and with more events than before.
+        if self._bound is None or self._bound_data is not self.simulator.data:
+            simulator, of_task = self.simulator, (self.task_data, self.outputs)
+            network = simulator.plant.network
+            # numba would turn the exception of a signal handler into a SystemError.
+            with HeldSignals():
+                self._bound = bind(simulator.blocks, simulator.scratches, network, simulator.data, *of_task)
+                self._bound_data = simulator.data
         return self._bound
 
     def statuses(self) -> npt.NDArray[np.int64]:
@@ -442,7 +446,7 @@ class EnvBatch:
 
     def __getstate__(self) -> dict[str, Any]:
         # Addresses are those of this object's arrays.
-        return {**self.__dict__, "_bound": None}
+        return {**self.__dict__, "_bound": None, "_bound_data": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -457,7 +461,6 @@ class EnvBatch:
         settings, physics, rows = snapshot
         if different := [name for name, value in self._of_episodes.items() if settings[name] != value]:
             raise ValueError(f"the snapshot is of an environment with other settings: {', '.join(different)}")
-        self._bound = None
         self.simulator.restore(physics)
         for array, stored in zip(self._rows, rows, strict=True):
             array[:] = stored

@@ -10,21 +10,27 @@ import numpy as np
 from wtg_gym.envs import interface, rendering
 from wtg_gym.envs.batch import EnvBatch, PreparedEpisodes
 from wtg_gym.signals import HeldSignals
+from wtg_gym.systems.routines import WIDE
 
-#: Episodes that are prepared together, at most: one block of the simulator.
-_MOST_AHEAD = 16
+#: Time of all episodes that are prepared together, at most [s]: sixteen of v1, which fill a block of the simulator.
+_MOST_AHEAD_S = WIDE * 180.0
 
 
 class _EpisodesAhead:
-    """The next episodes of an environment, prepared several at a time: each takes a third of the time it takes alone.
+    """The next episodes of an environment, prepared several at a time, which takes a third to a half of the time.
 
-    They are those that its generator is going to draw. Where it draws another one, since it was given another state,
-    those ahead are dropped; so an episode does not depend on when it was prepared.
+    They are those that its generator is going to draw. Where it draws another one, since others have drawn from it or
+    it was given another state, those ahead are dropped; so an episode does not depend on when it was prepared.
     """
 
     def __init__(self, batch: EnvBatch) -> None:
         self._batch = batch
+        self._most = min(WIDE, max(1, int(_MOST_AHEAD_S / batch.duration_s)))
         self.drop()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy prepares them again.
+        return {**self.__dict__, "_ready": []}
 
     def drop(self) -> None:
         """Forget all episodes; the next one is prepared alone, then two at a time, then four …"""
@@ -35,9 +41,11 @@ class _EpisodesAhead:
     def take(self, rng: np.random.Generator) -> tuple[PreparedEpisodes, list[int]]:
         """Return the episode that the generator draws: its place among others; a ValueError says why none can start."""
         seed = self._batch.draw_seed(rng)
-        if not self._ready or self._ready[0][0] != seed:
+        if self._ready and self._ready[0][0] != seed:
+            self.drop()
+        if not self._ready:
             self._ready = self._prepare(seed, copy.deepcopy(rng))
-            self._at_once = min(2 * self._at_once, _MOST_AHEAD)
+            self._at_once = min(2 * self._at_once, self._most)
         _, place, episodes = self._ready.pop(0)
         if isinstance(episodes, ValueError):
             raise episodes
@@ -151,10 +159,10 @@ class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Ac
             scenario = self._batch.scenario_of('options["scenario"]', checked["scenario"])
             episodes = self._batch.prepare([scenario], turning=True)
         super().reset(seed=seed)
+        if seed is not None:
+            self._ahead.drop()
         places = None
         if episodes is None:
-            if seed is not None:
-                self._ahead.drop()
             episodes, places = self._batch.first_to_start(0, lambda: self._ahead.take(self.np_random))
         self._batch.start([0], episodes, places)
         if self._frames is not None:

@@ -94,7 +94,10 @@ class OverBatch:
     def _open(
         self, arguments: Mapping[str, Any], render_mode: str | None, num_envs: int = 1, n_threads: int | None = None
     ) -> "tuple[gym.spaces.Box[np.float32], gym.spaces.Box[np.float32]]":
-        """Make settings, batch and frames; return the observation space and the action space of one episode."""
+        """Make settings, batch and frames; return the observation space and the action space of one episode.
+
+        A TypeError names an argument that is unknown, a ValueError a value that is not allowed.
+        """
         settings = [field.name for field in dataclasses.fields(EnvSettings)]
         if unknown := [name for name in arguments if name not in settings]:
             known = [*settings, *list(inspect.signature(type(self)).parameters)[:-1]]

@@ -14,6 +14,7 @@ out; their filters and their mean delay are in the loop.
 import contextlib
 import dataclasses
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,13 +26,14 @@ from wtg_gym.physics import linearisation, scenario, sensors
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.play import answer
-from wtg_gym.ranges import require_known
+from wtg_gym.ranges import require_known, require_range
 from wtg_gym.scenarios.suites import DEFAULT_SUITE
 from wtg_gym.tasks import cost, measured_observation
 
 Complex = npt.NDArray[np.complex128]
-#: The operating point: wind of all groups [m/s], and the middle of what standard-v1 draws of the grid.
-POINT = {"wind_m_s": 10.0, "governor_droop": 0.055, "committed": 0.6, "load_level": 0.95}
+#: The operating point: wind of all groups [m/s], and the middle of what standard-v1 draws of the grid: governor droop
+#: [p.u.], share of the machine's units on line [-], and factor on all loads [-].
+POINT = MappingProxyType({"wind_m_s": 10.0, "governor_droop": 0.055, "committed": 0.6, "load_level": 0.95})
 #: How long a loop may take to come to rest [s]; the slowest modes of v1 decay with 0.02/s.
 _SETTLES_S = 600.0
 #: At rest, the frequency moves less than this [Hz] in the last seconds.
@@ -88,16 +90,12 @@ def damping(entry: Entry, plant: Mapping[str, Any] | None = None, point: Mapping
     """Return the oscillations of the loop of an entry of version v1, in the grid of standard-v1.
 
     `plant` replaces parts of the plant, as in :class:`~wtg_gym.envs.settings.EnvSettings`, `point` values of the
-    operating point :data:`POINT`, such as {"wind_m_s": 8.0}. A ValueError names what is unknown or out of range, a
+    operating point :data:`POINT`, such as {"wind_m_s": 9.0}. A ValueError names what is unknown or out of range, a
     PolicyError says that the policy fails, that its memory is not arrays, or that the loop loses the grid.
     """
     require_known("values of the operating point", point or {}, POINT)
-    loop, modes, rates, rests = (
-        Loop(entry, plant, {**POINT, **(point or {})}),
-        list[Mode](),
-        list[float](),
-        list[Rest](),
-    )
+    loop = Loop(entry, plant, {**POINT, **(point or {})})
+    modes, rates, rests = list[Mode](), list[float](), list[Rest]()
     has_corner = entry.law.k_min != entry.law.k_max
     with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
         for slope in SLOPES if has_corner else SLOPES[:1]:
@@ -124,7 +122,7 @@ class Loop:
         assert errors is not None
         delays = errors.delays_s()
         of_grid = dict(point)
-        wind_m_s = of_grid.pop("wind_m_s")
+        wind_m_s = require_range("wind_m_s", of_grid.pop("wind_m_s"), *scenario.WIND_SPEED_RANGE, "m/s")
         self.scenario = scenario.Scenario(
             name=f"rest at {wind_m_s:g} m/s",
             wind_speed=np.full((n_wtg, 1), wind_m_s),

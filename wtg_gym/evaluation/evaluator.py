@@ -205,7 +205,10 @@ def _episodes(
     on_progress: Progress | None,
     needed: Collection[str],
 ) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
-    """Read stored parts, play and store the others; return all episodes in order, and how entries not needed failed."""
+    """Return the episodes in the order of the parts, and how entries failed, by name and training seed.
+
+    Stored parts are read, the others are played and stored. The failure of an entry that is needed is raised.
+    """
     episodes: dict[int, list[Episode]] = {}
     failures: dict[tuple[str, int | None], str] = {}
     n_done, n_all, suite_hash = 0, sum(len(seeds) for _, seeds in parts), settings.resolved_suite.hash

@@ -59,7 +59,9 @@ class FaultyPolicy:
     since: int  # step
     n_parts: int = 1  # parts that each environment's observation is given in: its groups, of a policy for one group
 
-    def predict(self, observation: Any, state: Any = None, *arguments: Any, **keywords: Any) -> tuple[Any, Any]:
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
         """Return (actions (num_envs, n_action), next state)."""
         seen = np.array(observation)
         first = seen[:: self.n_parts, : self.width]
@@ -68,7 +70,7 @@ class FaultyPolicy:
             kept = first.copy()
         if step >= self.since:
             self.fault(first, kept)
-        actions, memory = self.policy.predict(seen, memory, *arguments, **keywords)
+        actions, memory = self.policy.predict(seen, memory, episode_start, deterministic)
         return actions, (step + 1, kept, memory)
 
 

@@ -62,8 +62,8 @@ def power_coefficient(
     """
     parameters = parameters or PowerCoefficientParameters()
     ratio = np.asarray(tip_speed_ratio, dtype=np.float64)
-    for wrong in ratio[~((ratio > 0.0) & np.isfinite(ratio))]:
-        raise ValueError(f"tip-speed ratio must be positive, got {wrong:g}")
+    if (wrong := ratio[~((ratio > 0.0) & np.isfinite(ratio))]).size:
+        raise ValueError(f"tip-speed ratio must be positive, got {wrong[0]:g}")
     if not 0.0 <= pitch_deg < np.inf:
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
     pitch, (grid, cells), curve = float(pitch_deg), surface_of(parameters), curve_constants(parameters)
@@ -128,7 +128,7 @@ def available_power_pu(wind_m_s: float | Floats, turbine: TurbineParameters | No
     """Return the largest power a rotor can capture at β = 0 [p.u. of its rating], for wind speeds from 0 m/s on."""
     turbine = turbine or TurbineParameters()
     wind = np.asarray(wind_m_s, dtype=np.float64)
-    for wrong in wind[~((wind >= 0.0) & np.isfinite(wind))]:
-        raise ValueError(f"wind speed must be 0 m/s or more, got {wrong:g} m/s")
+    if (wrong := wind[~((wind >= 0.0) & np.isfinite(wind))]).size:
+        raise ValueError(f"wind speed must be 0 m/s or more, got {wrong[0]:g} m/s")
     peak = tracking_point(0.0, turbine).power_coefficient
     return np.asarray(turbine.wind_power_pu_per_cubic_wind * peak * wind**3)

@@ -13,8 +13,19 @@ from wtg_gym.systems.programs import numbered
 from wtg_gym.systems.routines import Function, Routine
 
 #: Lists of :mod:`wtg_gym.physics.step` that are programs: those of a step, then those of the start of a run.
-_OF_STEP, _OF_START = "ADMITTANCES FIND RATES MOVE FINISH PROTECT", "PLAN BALANCE RELEASE SETTLE START"
-PROGRAMS = numbered(**{name: getattr(systems, name) for name in f"{_OF_STEP} {_OF_START}".split()})
+PROGRAMS = numbered(
+    ADMITTANCES=systems.ADMITTANCES,
+    FIND=systems.FIND,
+    RATES=systems.RATES,
+    MOVE=systems.MOVE,
+    FINISH=systems.FINISH,
+    PROTECT=systems.PROTECT,
+    PLAN=systems.PLAN,
+    BALANCE=systems.BALANCE,
+    RELEASE=systems.RELEASE,
+    SETTLE=systems.SETTLE,
+    START=systems.START,
+)
 _ADMITTANCES, _FIND, _RATES, _MOVE, _FINISH, _PROTECT, *_STARTING = PROGRAMS
 _FIRST, _MIDDLE, _LAST = (
     Routine(_MOVE, variant=variant, first=first, last=last)

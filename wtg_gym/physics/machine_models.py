@@ -85,10 +85,11 @@ def _divided(
 
     Without a denominator the rates are those of the signal itself, as far as they are known.
     """
-    given = (c.inv_linear > 0.0) | (c.inv_square > 0.0)
+    exists = (c.inv_linear > 0.0) | (c.inv_square > 0.0)
     slope_rate = c.inv_square * (signal - state - c.linear * slope)
     rate = select(c.inv_square > 0.0, slope, c.inv_linear * (signal - state))
-    return select(given, slope_rate, signal_slope_rate), select(given, rate, signal_rate), select(given, state, signal)
+    rates = select(exists, slope_rate, signal_slope_rate), select(exists, rate, signal_rate)
+    return *rates, select(exists, state, signal)
 
 
 def ieeest_rates(s: IeeestState, deviation: float, voltage: float, c: Any) -> tuple[IeeestState, float]:
@@ -383,6 +384,6 @@ def joining_controls(names: Sequence[str]) -> dict[str, tuple[System, ...]]:
     """Return the systems of controls, by the names of their kinds, by the places where they join."""
     places = joining([control.systems for name, control in CONTROLS.items() if name in names])
     if ControlJoining.SETTLE in places:
-        # Exciters come before the stabilisers: they say what reference they need.
+        # Exciters come before the stabilisers: they say what reference they need. Each control has one system there.
         places[ControlJoining.SETTLE] = places[ControlJoining.SETTLE][::-1]
     return places

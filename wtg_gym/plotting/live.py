@@ -96,7 +96,9 @@ class _Played:
     def __init__(self, actions: list[npt.NDArray[np.float64]]) -> None:
         self._actions = actions
 
-    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, Any]:
         step = state or 0
         return self._actions[step][np.newaxis], step + 1
 

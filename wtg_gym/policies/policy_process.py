@@ -205,7 +205,7 @@ class PolicyProcess:
         fits = isinstance(widths, list) and 2 <= len(widths) <= 2 + MOST_STATES
         if not fits or not all(type(width) is int and 1 <= width <= WIDEST for width in widths):
             raise PolicyError(
-                f"a policy may have up to {MOST_STATES} states, inputs and outputs of 1 … {WIDEST} values"
+                f"a policy may have up to {MOST_STATES} states, and each of its inputs and outputs 1 … {WIDEST} values"
             )
         self.widths = widths
 

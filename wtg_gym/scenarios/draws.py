@@ -9,6 +9,7 @@ import numpy as np
 
 from wtg_gym.physics import grid, scenario
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
 from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
 from wtg_gym.ranges import Checked, design, require_range, required
@@ -298,10 +299,10 @@ class Wind(Record):
         least, most = (wind.share_of_load([end] * len(n_turbines), n_turbines, load_mw) for end in ends)
         if most < self.penetration[0] or least > self.penetration[1]:
             raise ValueError(
-                f"these {sum(n_turbines):g} turbines give {100.0 * least:.0f} … {100.0 * most:.0f} % of a load of "
-                f"{load_mw:.0f} MW; allowed is a penetration of {100.0 * self.penetration[0]:g} … "
-                f"{100.0 * self.penetration[1]:g} %: give other groups in a list such as "
-                '[{"bus": 2, "n_turbines": 52}], or another suite'
+                f"these groups, like {sum(n_turbines):g} turbines of {TurbineParameters().rated_power_mw:g} MW, give "
+                f"{100.0 * least:.0f} … {100.0 * most:.0f} % of a load of {load_mw:.0f} MW; allowed is a penetration "
+                f"of {100.0 * self.penetration[0]:g} … {100.0 * self.penetration[1]:g} %: give other groups in a list, "
+                'as [{"bus": 2, "n_turbines": 52}], or another suite'
             )
 
 

@@ -161,7 +161,8 @@ class Suite:
 
         Args:
             seeds: each of one of the splits.
-            n_turbines: turbines of each WTG group, see :meth:`ScenarioDistribution.draw_many`; None: those of `plant`.
+            n_turbines: turbines of each WTG group, of as many groups as there are values, see
+                :meth:`ScenarioDistribution.draw_many`; None: those of `plant`.
             duration_s: length of the run [s]; None: the suite's own.
             sensors: replaces the suite's own; None measures exactly.
             plant: plant whose WTG groups reserve margins are computed for; None: the suite's, with as many groups as
@@ -174,6 +175,9 @@ class Suite:
         duration = self.duration_s if duration_s is None else duration_s
         if n_turbines is None:
             n_turbines = self.default_turbines(plant or self.plant)
+        elif plant is not None and len(n_turbines) != len(plant.groups):
+            n_wtg = len(plant.groups)
+            raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(n_turbines)}")
         if self.drawn_from:
             if plant is None and len(n_turbines) != len(self.plant.groups):
                 plant = self.plant.replaced(groups=len(n_turbines))
@@ -212,7 +216,8 @@ class Suite:
                 of_seeds = [seeds[place] for place in places]
                 distribution = self._distribution(of_seeds[0], attempt)
                 drawn = distribution.draw_suited(of_seeds, len(n_turbines), n_turbines, duration_s, attempt, suited)
-                accepted.update({p: each for p, each in zip(places, drawn, strict=True) if each is not None})
+                with_places = zip(places, drawn, strict=True)
+                accepted.update((place, scenario) for place, scenario in with_places if scenario is not None)
             missing = [place for place in missing if place not in accepted]
             if not missing:
                 return [accepted[place] for place in range(len(seeds))]

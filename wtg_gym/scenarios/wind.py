@@ -27,6 +27,7 @@ from wtg_gym.ranges import require_count, require_range
 TURBULENCE_SCALE_M = 42.0
 #: Integral length scale of the Kaimal spectrum, and coherence scale L_c, both 8.1 Λ1 [m] (annex B).
 LENGTH_SCALE_M = 8.1 * TURBULENCE_SCALE_M
+#: Rotor radius [m].
 ROTOR_RADIUS_M = TurbineParameters().blade_radius_m
 #: Distance between the turbines of a group: seven rotor diameters [m].
 TURBINE_SPACING_M = 14.0 * ROTOR_RADIUS_M

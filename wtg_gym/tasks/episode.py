@@ -17,6 +17,7 @@ from wtg_gym.systems.systems import Kind, system
 ACTION_MODES: dict[str, tuple[bool, bool]] = {"k": (True, False), "tau": (False, True), "k+tau": (True, True)}
 #: Full action multiplies or divides the damping time constant by this to the power of the task's `tau_authority`.
 TIME_CONSTANT_RATIO = 4.0
+#: Window of the rate of change of frequency [s].
 ROCOF_WINDOW_S = 0.5
 
 

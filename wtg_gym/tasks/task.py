@@ -22,8 +22,6 @@ from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GR
 #: Share of the load that the torque of the machines is counted in on other grids than the IEEE 14-bus system, where it
 #: is 100 MVA.
 _TORQUE_SHARE = 0.39
-#: Fields that hashes of suites hold as they are.
-_HASHED = "version k_authority tau_authority control_dt interval_s duty_time_s on_failure anchors"
 #: A part of an observation: its kind of unit, its name there, and the letters before the number of its unit.
 Shown = tuple[systems.Kind, str, str]
 
@@ -126,7 +124,14 @@ class Task:
         """Return what hashes of suites hold of the task, as JSON-ready data."""
         defaults = cost.CostWeights()._asdict()
         return {
-            **{name: getattr(self, name) for name in _HASHED.split()},
+            "version": self.version,
+            "k_authority": self.k_authority,
+            "tau_authority": self.tau_authority,
+            "control_dt": self.control_dt,
+            "interval_s": self.interval_s,
+            "duty_time_s": self.duty_time_s,
+            "on_failure": self.on_failure,
+            "anchors": self.anchors,
             "sensed": self.has_sensors,
             "charges_worst": self.failure_costs_whole_episode,
             "cost_offsets": dict(self.cost_offsets),
