@@ -267,11 +267,11 @@ def test_rewards_and_copies_do_not_depend_on_how_many_episodes_were_prepared_tog
     env, one_by_one = GFMWTGEnv(duration_s=2.0), GFMWTGVectorEnv(1, duration_s=2.0)
     env.np_random = np.random.Generator(np.random.MT19937(5))
     generator = np.random.Generator(np.random.MT19937(5))
-    for episode in range(6):
+    for _ in range(6):
         env.reset()
         one_by_one.reset(options={"scenarios": [env.batch.draw_seed(generator)]})
         for single, alone in zip(env.batch.outputs, one_by_one.batch.outputs, strict=True):
-            assert single.tobytes() == alone.tobytes(), episode
+            assert single.tobytes() == alone.tobytes()
     again = copy.deepcopy(env)
     assert again.reset()[0].tobytes() == env.reset()[0].tobytes()
 
