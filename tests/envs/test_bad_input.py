@@ -59,7 +59,7 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"reward": "gain"}, "reward 'gain'.*score, cost"),
     ({**V1, "sensors": "exact", "scenario": CALM_V1}, "sensors.*scenario.*leave out one"),
     ({**V1, "scenario": ONE_BIAS}, r"wind_bias of the sensors.*WTG group \(4\).*1"),
-    ({**V1, "groups": 4}, "20 turbines give .* % of a load of 220 MW; allowed is a penetration of 40 … 78 %"),
+    ({**V1, "groups": 4}, "20 turbines of 5 MW, give .* % of a load of 220 MW; allowed is a penetration of 40 … 78 %"),
 ]
 BATCH = [
     ({"num_envs": 0}, "num_envs.*1 … 1000000.*0"),

@@ -213,7 +213,7 @@ SUITES = [
     (lambda: STANDARD.distributions[0].draw(-1), "a seed must be a whole number in 0 … [0-9]*, got -1"),
     (lambda: STANDARD.distributions[0].draw(1, 0), "n_wtg must be a whole number in 1 … 100, got 0"),
     (lambda: STANDARD.distributions[0].draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
-    (lambda: SHARED.check_turbines([5.0, 5.0]), "10 turbines give .* % of a load .* penetration of 40 … 78 %"),
+    (lambda: SHARED.check_turbines([5.0, 5.0]), "10 turbines of 5 MW, give .* % of a load .* penetration of 40 … 78 %"),
     (lambda: SHARED.draw_many(range(20), 3, [90.0] * 3), "winds of 8.5 … 11 m/s hardly ever give"),
     (of(SensorDistribution, delay_s=(0.1, 0.25)), "whole numbers of 0.1 s"),
     (of(SensorDistribution, wind_bias=math.nan), "wind_bias = nan.*0 … 0.2"),
