@@ -44,21 +44,23 @@ class _EpisodesAhead:
         if self._ready and self._ready[0][0] != seed:
             self.drop()
         if not self._ready:
-            self._ready = self._prepare(seed, copy.deepcopy(rng))
-            self._at_once = min(2 * self._at_once, self._most)
+            # Where memory is short, the next reset begins with one episode again.
+            at_once, self._at_once = self._at_once, 1
+            ahead = copy.deepcopy(rng)
+            self._ready = self._prepare([seed, *(self._batch.draw_seed(ahead) for _ in range(at_once - 1))])
+            self._at_once = min(2 * at_once, self._most)
         _, place, episodes = self._ready.pop(0)
         if isinstance(episodes, ValueError):
             raise episodes
         return episodes, [place]
 
-    def _prepare(self, seed: int, rng: np.random.Generator) -> list[tuple[int, int, PreparedEpisodes | ValueError]]:
-        seeds = [seed, *(self._batch.draw_seed(rng) for _ in range(self._at_once - 1))]
+    def _prepare(self, seeds: list[int]) -> list[tuple[int, int, PreparedEpisodes | ValueError]]:
         try:
             episodes = self._batch.prepare(self._batch.drawn_scenarios(seeds))
             return [(seed, place, episodes) for place, seed in enumerate(seeds)]
         except ValueError as error:
             if len(seeds) == 1:
-                return [(seed, 0, error)]
+                return [(seeds[0], 0, error)]
         # One of them cannot start.
         return [(seed, 0, self._alone(seed)) for seed in seeds]
 
