@@ -22,6 +22,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from agents import run as runs
 from agents.run import RunSettings, Whole, Widths
 from wtg_gym.envs import EnvSettings
+from wtg_gym.evaluation.score import failure_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import Checked, design
@@ -138,8 +139,7 @@ class Failures:
         self._columns = list(columns)
         self._limits, self._spreads = (torch.tensor(values, dtype=torch.float64) for values in (limits, spreads))
         rate = weights.failure if open_ended else weights.cap
-        #: Of a failure, as if it had come at once, see :mod:`wtg_gym.evaluation.score`.
-        self._cost = rate * (settings.episode_duration_s() + 1.0)
+        self._cost = failure_cost(settings.episode_duration_s(), rate)
 
     def watched(self, outputs: Tensor) -> Tensor:
         """Return the outputs that failures depend on, (num_envs, n), of all outputs of a step."""

@@ -62,13 +62,7 @@ class _EpisodesAhead:
             if len(seeds) == 1:
                 return [(seeds[0], 0, error)]
         # One of them cannot start.
-        return [(seed, 0, self._alone(seed)) for seed in seeds]
-
-    def _alone(self, seed: int) -> PreparedEpisodes | ValueError:
-        try:
-            return self._batch.prepare(self._batch.drawn_scenarios([seed]))
-        except ValueError as error:
-            return error
+        return [ready for seed in seeds for ready in self._prepare([seed])]
 
 
 class GFMWTGEnv(interface.OverBatch, gym.Env[interface.Observation, interface.Action]):

@@ -13,12 +13,14 @@ Arrays of one entry have the shape (n_runs, n_scenarios): one run per training s
 """
 
 import math
+from typing import TypeVar
 
 import numpy as np
 
 from wtg_gym.evaluation.statistics import Floats, Groups, mean
 from wtg_gym.tasks import Task
 
+Duration = TypeVar("Duration", float, Floats)
 # Those of `math`, because numpy's own logarithms differ between processors in the last bit.
 _log, _log1p = (np.vectorize(function, otypes=[np.float64]) for function in (math.log, math.log1p))
 
@@ -33,6 +35,11 @@ def cost_offsets(groups: Groups, task: Task) -> Floats:
     for name, group in groups.items():
         offsets[group] = task.cost_offsets[name]
     return offsets
+
+
+def failure_cost(duration_s: Duration, rate: float) -> Duration:
+    """Return what an episode of a length [s] costs that fails at once, at the largest cost rate [1/s]."""
+    return rate * (duration_s + 1.0)
 
 
 def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from wtg_gym.evaluation import adjusted, statistics
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.score import cost_offsets, gains, gains_by_term
+from wtg_gym.evaluation.score import cost_offsets, failure_cost, gains, gains_by_term
 from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
 from wtg_gym.scenarios.suite import Suite
 
@@ -133,7 +133,7 @@ def pinned_costs(runs: Runs, cap: float | None) -> Floats:
     if cap is None:
         return costs
     durations_s = np.array([[episode.duration_s for episode in run] for run in runs])
-    return np.where(lost(runs), cap * (durations_s + 1.0), costs)
+    return np.where(lost(runs), failure_cost(durations_s, cap), costs)
 
 
 def _values(runs: Runs, metric: str) -> Floats:

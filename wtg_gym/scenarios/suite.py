@@ -28,6 +28,8 @@ SPLITS = ("train", "validation", "test")
 MOST_SCENARIOS = 10_000
 #: Scenarios of a seed that are drawn at most until one has the reserve margin of its stratum.
 _MOST_ATTEMPTS = 1000
+#: Rated power of the default turbine [MW].
+_RATED_MW = TurbineParameters().rated_power_mw
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,11 +196,11 @@ class Suite:
 
     def default_turbines(self, plant: Plant) -> list[float]:
         """Return as many of the default turbines as give what those of each group do; v0 counts them as they are."""
-        rated_mw, counts = TurbineParameters().rated_power_mw, [float(group.n_turbines) for group in plant.groups]
+        counts = [float(group.n_turbines) for group in plant.groups]
         if self.task is V0:
             return counts
-        ratings = [group.turbine.rated_power_mw if group.turbine else rated_mw for group in plant.groups]
-        return [n * (rating / rated_mw) for n, rating in zip(counts, ratings, strict=True)]
+        ratings = [group.turbine.rated_power_mw if group.turbine else _RATED_MW for group in plant.groups]
+        return [n * (rating / _RATED_MW) for n, rating in zip(counts, ratings, strict=True)]
 
     def _drawn_scenarios(
         self, seeds: Sequence[int], n_turbines: Sequence[float], duration_s: float, margins: ReserveMargin
